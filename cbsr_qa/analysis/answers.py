@@ -13,7 +13,7 @@ from cbsr_qa.domain.numbers import with_type
 from cbsr_qa.domain.plan.limits import Bound, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
 
-#: More measurements from one call are refused: a generator may never end.
+#: Largest number of measurements from one call; more are refused, as a generator may never end.
 MOST_ANSWERS: Final = 10_000
 #: Longest text of a measurement [characters].
 LONGEST_TEXT: Final = 2_000
@@ -35,26 +35,26 @@ def validate_answer(answer: Iterable[Measurement]) -> list[Measurement]:
     """
     if isinstance(answer, Measurement) or not isinstance(answer, Iterable):
         raise PluginError(f"it returned {with_type(answer)}; it must return a tuple of Measurement")
-    taken = list(islice(answer, MOST_ANSWERS + 1))
-    if len(taken) > MOST_ANSWERS:
+    measurements = list(islice(answer, MOST_ANSWERS + 1))
+    if len(measurements) > MOST_ANSWERS:
         raise PluginError(f"it returned more than {MOST_ANSWERS} measurements")
-    return [_validate_measurement(number, measurement) for number, measurement in enumerate(taken, start=1)]
+    return [_validate_measurement(number, measurement) for number, measurement in enumerate(measurements, start=1)]
 
 
 def _validate_measurement(number: int, measurement: object) -> Measurement:
     if type(measurement) is not Measurement:
         raise PluginError(f"measurement {number} is {with_type(measurement)}; it must be a Measurement")
-    plain: dict[str, Any] = {}
+    plain_fields: dict[str, Any] = {}
     for name in (field.name for field in fields(Measurement)):
         value = getattr(measurement, name, None)
         check, allowed = _FIELDS[name]
-        plain[name] = check(value)
-        if plain[name] is _WRONG:
+        plain_fields[name] = check(value)
+        if plain_fields[name] is _WRONG:
             raise PluginError(f"measurement {number}: {name} is {with_type(value)}; it must be {allowed}")
-    return replace(measurement, **plain)
+    return replace(measurement, **plain_fields)
 
 
-#: Returned by a check for a value that is not allowed.
+#: Value that a check returns for a value that is not allowed.
 _WRONG: Final = object()
 
 

@@ -37,7 +37,7 @@ class Conclusion:
     ----------
     observation : None if the run could not be analysed; the verdict then gives the reason.
     warnings : including those of the observation.
-    characterisation : of a material, if the recipe requests it; nothing was imaged then.
+    characterisation : characterisation of a material, if the recipe requests it; nothing was imaged then.
     """
 
     observation: RunObservation | None
@@ -52,7 +52,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
 
     Parameters
     ----------
-    record : as loaded from the store; no other input.
+    record : record as loaded from the store; no other input.
     recipe : says how to image, what to measure and what is allowed.
     stages : progress and timing.
 
@@ -66,8 +66,8 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
         If the recipe's reconstruction or a metric is unknown or refuses its options.
     """
     if record.end is not EndReason.FINISHED:
-        why = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
-        return _empty_conclusion(why)
+        reason = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
+        return _empty_conclusion(reason)
     if recipe.characterisation is not None:
         return _evaluate_strip(record, recipe.characterisation, recipe.limits, stages)
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
@@ -79,12 +79,12 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _empty_conclusion(f"the frames cannot be imaged: {failure(error)}", remedy)
     with stages.stage("metrics"):
-        measured, failed = measure_run(observation, metrics)
+        measured, failed_metrics = measure_run(observation, metrics)
         judged = judge(measured, recipe.limits)
     if recipe.analysis.learn_place:
         with stages.stage("learning the place"):
             run_place(observation)
-    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed))
+    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed_metrics))
 
 
 def _empty_conclusion(why: str, remedy: str = "") -> Conclusion:
@@ -148,7 +148,7 @@ def _overlap_threshold(recipe: Recipe) -> float:
 
     Without such a limit, all but the worst of the recipe's bands are accepted; with one band, anything.
     """
-    given = [
+    overlap_limits = [
         limit.lower
         for limit in recipe.limits
         if limit.measurement == "area_overlap"
@@ -157,7 +157,7 @@ def _overlap_threshold(recipe: Recipe) -> float:
         and limit.phase in ("", *recipe.calibrate_phases)
     ]
     bands = sorted(band.lower for band in recipe.analysis.overlap_bands)
-    return max(given) if given else bands[min(1, len(bands) - 1)]
+    return max(overlap_limits) if overlap_limits else bands[min(1, len(bands) - 1)]
 
 
 def _find_value(conclusion: Conclusion, name: str) -> float | None:
@@ -178,19 +178,19 @@ def measure_run(
     The measurements in that order, and a warning for every metric that raised or returned anything but measurements;
     the others are unaffected, and a limit on it finds nothing measured.
     """
-    taken: dict[str, list[Measurement]] = {}
-    failed: dict[str, str] = {}
+    measurements_by_metric: dict[str, list[Measurement]] = {}
+    failure_by_metric: dict[str, str] = {}
     for name in sorted(metrics, key=lambda name: getattr(type(metrics[name]), "needs_force", False) is True):
         try:
             with come_back_once():
-                taken[name] = ask(metrics[name], observation)
+                measurements_by_metric[name] = ask(metrics[name], observation)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
-            failed[name] = f"metric {name} failed and measured nothing: {failure(error)}"
-    measured = tuple(one for name in metrics for one in taken.get(name, ()))
-    return measured, tuple(failed[name] for name in metrics if name in failed)
+            failure_by_metric[name] = f"metric {name} failed and measured nothing: {failure(error)}"
+    measured = tuple(measurement for name in metrics for measurement in measurements_by_metric.get(name, ()))
+    return measured, tuple(failure_by_metric[name] for name in metrics if name in failure_by_metric)
 
 
-#: Why a limit found nothing to judge: of a measurement that is there for the limit alone.
+#: Reason stated by a measurement that only shows that a limit found nothing to judge.
 _NOT_ENABLED: Final = "no metric of this recipe measures it: enable one, or remove the limit"
 _OTHER_UNIT: Final = "the limit is in "
 
@@ -219,28 +219,34 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
 
 def judge_again(judged: Iterable[Measurement], limits: Iterable[Limit]) -> tuple[Measurement, ...]:
     """Judge measurements by other limits than those they were judged by."""
-    own = (one for one in judged if not (one.how == _NOT_ENABLED or one.how.startswith(_OTHER_UNIT)))
-    return judge((replace(one, limit=None, outcome=Outcome.NOT_JUDGED) for one in own), limits)
+    own_measurements = (
+        measurement
+        for measurement in judged
+        if not (measurement.how == _NOT_ENABLED or measurement.how.startswith(_OTHER_UNIT))
+    )
+    return judge(
+        (replace(measurement, limit=None, outcome=Outcome.NOT_JUDGED) for measurement in own_measurements), limits
+    )
 
 
 def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Measurement]:
     """Call one metric for every load and the whole run; raises what :func:`validate_answer` and the metric raise."""
-    taken: list[Measurement] = []
+    measurements: list[Measurement] = []
     if isinstance(metric, LoadMetric):
         for load in observation.loads:
-            taken += validate_answer(metric.measure_load(load, observation))
+            measurements += validate_answer(metric.measure_load(load, observation))
             if load.alternate is not None:
-                taken += _other_reference(metric, load.alternate, observation)
+                measurements += _other_reference(metric, load.alternate, observation)
     if isinstance(metric, RunMetric):
-        taken += validate_answer(metric.measure_run(observation))
-    return taken
+        measurements += validate_answer(metric.measure_run(observation))
+    return measurements
 
 
 def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
     """Measure a load relative to the reference that the recipe did not choose; reported, never judged."""
-    other = "before the press" if run.settings.reference == "run" else "unloaded run"
+    reference = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [
-        replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=other).text))))
+        replace(m, qualifier=", ".join(filter(None, (m.qualifier, Dimensions(reference=reference).text))))
         for m in validate_answer(metric.measure_load(load, run))
     ]
 

@@ -29,7 +29,7 @@ _Note = Annotated[str, Field(max_length=_LONGEST_NOTE)]
 
 
 def group_of(parent: h5py.Group, name: str) -> h5py.Group:
-    """Return a group. RefusedError if it is missing, or a dataset."""
+    """Return a group. Raise RefusedError if it is missing, or a dataset."""
     member = _member(parent, name)
     if not isinstance(member, h5py.Group):
         raise RefusedError(f"{member.name} is a dataset; a group is expected")
@@ -61,7 +61,7 @@ def unit_of(parent: h5py.Group, name: str) -> str:
 
 
 def text_of(item: h5py.Group | h5py.Dataset, name: str, longest: int = _LONGEST_TEXT) -> str:
-    """Return a string attribute. RefusedError if it is missing, of another type or too long."""
+    """Return a string attribute. Raise RefusedError if it is missing, of another type or too long."""
     value = attribute(item, name)
     if not isinstance(value, str):
         raise RefusedError(f"attribute {name} of {item.name} is missing or is not a single UTF-8 string")
@@ -73,7 +73,7 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
 
     Parameters
     ----------
-    what : its name in messages.
+    what : name in messages.
     """
     if name not in item.attrs:
         return None
@@ -85,7 +85,7 @@ def real_of(item: h5py.Group, name: str, what: str) -> float | None:
 
 
 def json_of(item: h5py.Group, name: str) -> Any:
-    """Return the JSON value of an attribute. RefusedError if invalid, or with NaN or lone surrogates."""
+    """Return the JSON value of an attribute. Raise RefusedError if invalid, or with NaN or lone surrogates."""
     text = text_of(item, name, _LONGEST_JSON)
     try:
         value = parse_json(text)
@@ -131,13 +131,13 @@ class Description(CheckedTable):
     frames_dropped: Annotated[int, Field(ge=0, le=2**53)] = 0
 
     def electrodes(self) -> Electrodes | None:
-        """The layout of electrodes. RefusedError if a key is missing, unknown or not allowed."""
+        """The layout of electrodes. Raise RefusedError if a key is missing, unknown or not allowed."""
         if self.layout is None:
             return None
         if "places_mm" in self.layout:
-            placed = validate_entry(_Places, self.layout, "description.layout")
-            places_mm = tuple((x, y) for x, y in placed.places_mm[: _MOST_ELECTRODES + 1])
-            return PlacedElectrodes(ElectrodeKind(placed.kind), places_mm, placed.width_mm)
+            layout = validate_entry(_Places, self.layout, "description.layout")
+            places_mm = tuple((x, y) for x, y in layout.places_mm[: _MOST_ELECTRODES + 1])
+            return PlacedElectrodes(ElectrodeKind(layout.kind), places_mm, layout.width_mm)
         ring = validate_entry(_Ring, self.layout, "description.layout")
         return ElectrodeLayout(**{**ring.model_dump(), "kind": ElectrodeKind(ring.kind)})
 

@@ -81,7 +81,7 @@ def write_recording(path: Path, recording: Recording) -> None:
 def recording_file(path: Path) -> Iterator[BinaryIO]:
     """Write a recording file of any format, atomically.
 
-    RecordingError if the folder cannot be written to.
+    Raise RecordingError if the folder cannot be written to.
     """
     with writing(path, refusal=RecordingError, remedy="choose a writable folder"):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -107,7 +107,7 @@ def read_recording(path: Path) -> Recording:
         If the file is not a recording file, truncated, edited (its digest does not match), or of a later version.
     """
     try:
-        # By its bytes: HDF5 shares a file that the program has open, even where that descriptor is closed.
+        # Open the file by its bytes: HDF5 shares a file that the program has open, even if that descriptor is closed.
         with open_foreign(path) as data, h5py.File(data, "r") as file:
             _check(path, file)
             return _read(path, file)
@@ -217,27 +217,27 @@ def _notes(description: Description) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """Return notes and the simulation's description, which earlier versions stored as notes."""
     if description.simulated is not None:
         return tuple(description.notes), tuple(description.simulated)
-    marked = [note for note in description.notes if note.startswith(_SIMULATED_NOTE)]
-    others = tuple(note for note in description.notes if note not in marked)
-    return others, tuple(note.removeprefix(_SIMULATED_NOTE) for note in marked)
+    simulated_notes = [note for note in description.notes if note.startswith(_SIMULATED_NOTE)]
+    other_notes = tuple(note for note in description.notes if note not in simulated_notes)
+    return other_notes, tuple(note.removeprefix(_SIMULATED_NOTE) for note in simulated_notes)
 
 
 def _read_frames(group: h5py.Group) -> FrameBlock:
     current_A = real_of(group, "current_A", "the drive current")
     if current_A is not None and current_A <= 0:
         raise RefusedError(f"the drive current (current_A of {group.name}) is {current_A:g} A; it must be above 0")
-    own = numbers(group, "reading_time_s") if "reading_time_s" in group else None
+    reading_times_s = numbers(group, "reading_time_s") if "reading_time_s" in group else None
     times_s = numbers(group, "time_s")
     if not np.isfinite(times_s).all() or (np.diff(times_s) < 0).any():
         raise RefusedError("frame times must be finite and must not decrease")
-    if own is not None and not np.isfinite(own).all():
+    if reading_times_s is not None and not np.isfinite(reading_times_s).all():
         raise RefusedError("the time of a reading is not a finite number")
     voltages, unit = numbers(group, "voltages"), unit_of(group, "voltages")
     if unit not in set(VoltageUnit):
         allowed = ", ".join(VoltageUnit)
         raise RefusedError(f"{group.name}/voltages has unit {echo(unit)}; allowed: {allowed}")
     flags = numbers(group, "flags", "iu").astype(np.uint8)
-    return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, own)
+    return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, reading_times_s)
 
 
 def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:
@@ -246,9 +246,9 @@ def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:
 
 def _read_samples(group: h5py.Group) -> SampleBlock:
     times_s = numbers(group, "time_s")
-    held = numbers(group, "values", shape=times_s.shape)
-    known = np.isfinite(times_s) & np.isfinite(held)  # a lost sample is left out
-    return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[known], held[known])
+    values = numbers(group, "values", shape=times_s.shape)
+    finite_mask = np.isfinite(times_s) & np.isfinite(values)  # a lost sample is left out
+    return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[finite_mask], values[finite_mask])
 
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:
@@ -289,8 +289,8 @@ def _digest(file: h5py.File, size_bytes: int = _ANY_SIZE) -> str:
     The whole file is checked (see :func:`~cbsr_qa.calibration.file.hdf5_content.members`) before any value is read.
     """
     sha = hashlib.sha256()
-    held = dict(members(file, size_bytes))
-    for name, item in [("/", file), *sorted(held.items())]:
+    item_by_name = dict(members(file, size_bytes))
+    for name, item in [("/", file), *sorted(item_by_name.items())]:
         sha.update(name.encode() + b"\x00")
         if isinstance(item, h5py.Dataset):
             if item.dtype.kind not in "iufcb":

@@ -34,7 +34,7 @@ class RingFit:
         the readings.
     used : (drives, measures) bool; never flagged.
     flags : (drives, measures) uint8; flags of all frames combined.
-    gain_error : as a fraction; None if volts or current are unknown.
+    gain_error : gain error as a fraction; None if volts or current are unknown.
     offset : common to all readings, in their unit; None if the pattern cannot distinguish it from the gain.
     lead_ohm : (electrodes,) as the station reads them, including its gain error; None if the pattern cannot determine
         them, or volts or current are unknown.
@@ -71,25 +71,27 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     if frames.current_A == 0:
         raise NumericsError("the frames were taken without a current", remedy="check that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
-    used = (flags & int(UNUSABLE)) == 0
+    used_mask = (flags & int(UNUSABLE)) == 0
     closed = ring_readings(ring.resistances_ohm, pattern)
     mean = frames.voltages.mean(axis=0)
     absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
     current = frames.current_A if absolute and frames.current_A is not None else 1.0
-    solution, leads_fitted, offset_fitted = _solve(current * closed, current * lead_readings(pattern), mean, used)
+    solution, leads_fitted, offset_fitted = _solve(
+        current * closed, current * lead_readings(pattern), mean, used_mask
+    )
     gain, offset, leads = solution[0], solution[1], solution[2:]
     expected = current * closed if absolute else gain * closed
-    fitted = gain * current * closed + offset + current * lead_readings(pattern) @ leads
+    fitted_readings = gain * current * closed + offset + current * lead_readings(pattern) @ leads
     return RingFit(
         expected=expected,
         mean=mean,
         noise=frames.voltages.std(axis=0, ddof=1),
-        used=used,
+        used=used_mask,
         flags=flags,
         gain_error=gain - 1 if absolute else None,
         offset=offset if offset_fitted else None,
         lead_ohm=leads if leads_fitted and absolute else None,
-        residual=np.where(used, mean - fitted, 0.0) / _sizes(expected),
+        residual=np.where(used_mask, mean - fitted_readings, 0.0) / _sizes(expected),
     )
 
 
@@ -103,20 +105,20 @@ def find_exchanged_electrodes(ring: RingReadings, pattern: DrivePattern, *, with
     impedance = ring_impedance(ring.resistances_ohm)
     driven, measured = pattern.drive_currents(), pattern.measure_matrix()
     frames = ring.frames
-    used = (np.bitwise_or.reduce(frames.flags, axis=0) & int(UNUSABLE)) == 0
+    used_mask = (np.bitwise_or.reduce(frames.flags, axis=0) & int(UNUSABLE)) == 0
     mean, leads = frames.voltages.mean(axis=0), lead_readings(pattern)
     current = frames.current_A or 1.0
-    best: tuple[float, tuple[int, int]] | None = None
+    best_exchange: tuple[float, tuple[int, int]] | None = None
     for pair in combinations(range(pattern.electrode_count), 2):
         order = np.arange(pattern.electrode_count)
         order[list(pair)] = pair[::-1]
         closed = current * (driven.T @ impedance[np.ix_(order, order)] @ measured)
-        (gain, offset, *ohm), _, _ = _solve(closed, current * leads, mean, used)
-        left = mean - gain * closed - offset - current * leads @ np.array(ohm)
-        worst = float(np.abs(np.where(used, left / _sizes(gain * closed), 0.0)).max())
-        if worst <= within and (best is None or worst < best[0]):
-            best = worst, pair
-    return None if best is None else best[1]
+        (gain, offset, *ohm), _, _ = _solve(closed, current * leads, mean, used_mask)
+        residual = mean - gain * closed - offset - current * leads @ np.array(ohm)
+        worst_residual = float(np.abs(np.where(used_mask, residual / _sizes(gain * closed), 0.0)).max())
+        if worst_residual <= within and (best_exchange is None or worst_residual < best_exchange[0]):
+            best_exchange = worst_residual, pair
+    return None if best_exchange is None else best_exchange[1]
 
 
 def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
@@ -128,13 +130,13 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
     """
     size = _sizes(closed)[used]
     columns = np.column_stack([closed[used], np.ones(size.size), leads[used]]) / size[:, None]
-    wanted = mean[used] / size
+    scaled_readings = mean[used] / size
     solution = np.zeros(columns.shape[1])
     for count in (len(solution), 2, 1):
-        part = columns[:, :count]
-        scale = np.linalg.norm(part, axis=0)
-        if size.size > count and (scale > 0).all() and np.linalg.matrix_rank(part / scale) == count:
-            solution[:count] = np.linalg.lstsq(part / scale, wanted, rcond=None)[0] / scale
+        leading_columns = columns[:, :count]
+        scale = np.linalg.norm(leading_columns, axis=0)
+        if size.size > count and (scale > 0).all() and np.linalg.matrix_rank(leading_columns / scale) == count:
+            solution[:count] = np.linalg.lstsq(leading_columns / scale, scaled_readings, rcond=None)[0] / scale
             return solution, count > 2, count > 1
     raise NumericsError(
         f"{int(used.sum())} of {used.size} readings of the ring are without a flag, too few to fit a gain",
@@ -157,7 +159,7 @@ def pair_words(pattern: DrivePattern, reading: Sequence[int]) -> str:
 
 #: Subject of these lines.
 RING: Final = "reference ring"
-#: How much more readings across one pair must deviate than elsewhere for the pair to be named.
+#: Factor by which readings across one pair must deviate more than elsewhere for the pair to be named.
 _STANDS_OUT: Final = 3.0
 _UNKNOWN: Final = "the frames are not in volts, or their current is not known"
 
@@ -168,7 +170,7 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
     Parameters
     ----------
     ring : the frames and the ring's resistors.
-    pattern : of the sensor type the station is set up for.
+    pattern : pattern of the sensor type the station is set up for.
     allowed : limits of the station file.
     """
     try:
@@ -199,9 +201,11 @@ def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     count = int((~fit.used).sum())
     finding = f"all {fit.used.size} readings are without a flag"
     if count:
-        first = tuple(int(index) for index in np.argwhere(~fit.used)[0])
-        what = ReadingFlag(int(fit.flags[first])).name or "flagged"
-        finding = f"{count} of {fit.used.size}; the first is {pair_words(pattern, first)}: {what.lower()}"
+        first_flagged = tuple(int(index) for index in np.argwhere(~fit.used)[0])
+        flag_name = ReadingFlag(int(fit.flags[first_flagged])).name or "flagged"
+        finding = (
+            f"{count} of {fit.used.size}; the first is {pair_words(pattern, first_flagged)}: {flag_name.lower()}"
+        )
     remedy = "check that the ring is connected; lower the drive current or the ring's resistance"
     return _line("flagged readings", not count, float(count), "1", "0", finding, remedy)
 
@@ -212,8 +216,8 @@ def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     limit = allowed.gain + allowed.tolerance
     finding = "readings over closed form × current, all together"
     remedy = "check the ring's resistance, then the source's current and the meter's calibration"
-    ok, words = abs(fit.gain_error) <= limit, _within(100 * limit, "%")
-    return _line("gain error", ok, 100 * fit.gain_error, "%", words, finding, remedy)
+    ok, allowed_words = abs(fit.gain_error) <= limit, _within(100 * limit, "%")
+    return _line("gain error", ok, 100 * fit.gain_error, "%", allowed_words, finding, remedy)
 
 
 def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
@@ -221,19 +225,19 @@ def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
         return _skip_check("offset", "the pattern cannot separate offset and gain")
     if fit.gain_error is None:
         return _line("offset", True, fit.offset, unit, "", _UNKNOWN, "")
-    ok, words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
+    ok, allowed_words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
     remedy = "zero the meter; look for a thermal voltage or a ground loop in the measuring pair"
-    return _line("offset", ok, 1e3 * fit.offset, "mV", words, "common to all readings", remedy)
+    return _line("offset", ok, 1e3 * fit.offset, "mV", allowed_words, "common to all readings", remedy)
 
 
 def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     name = "lead resistance"
     if fit.lead_ohm is None:
         return _skip_check(name, _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring")
-    worst = int(np.argmax(np.abs(fit.lead_ohm)))
-    value = float(fit.lead_ohm[worst])
-    finding = f"largest at electrode {worst}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
-    ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst}"
+    worst_electrode = int(np.argmax(np.abs(fit.lead_ohm)))
+    value = float(fit.lead_ohm[worst_electrode])
+    finding = f"largest at electrode {worst_electrode}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
+    ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst_electrode}"
     return _line(name, ok, value, "ohm", _within(allowed.lead_ohm, "Ω"), finding, remedy)
 
 
@@ -255,24 +259,26 @@ def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float
         first, second = swapped
         return f"electrodes {first} and {second} are exchanged: swapping them fits all readings; correct their leads"
     # Half of the drives across a bad resistor deviate far more than the others.
-    off = np.abs(np.median(fit.residual, axis=1))
-    worst = int(np.argmax(off))
-    if off[worst] > max(limit, _STANDS_OUT * float(np.median(off))):
-        source, sink = pattern.drive[worst]
+    median_residuals = np.abs(np.median(fit.residual, axis=1))
+    worst_pair = int(np.argmax(median_residuals))
+    if median_residuals[worst_pair] > max(limit, _STANDS_OUT * float(np.median(median_residuals))):
+        source, sink = pattern.drive[worst_pair]
         return f"readings driven across electrodes {source} and {sink} are off: check the resistor between them"
     return "check the resistors and the wiring of these electrodes"
 
 
 def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
     usable = pattern.usable() & fit.used
-    which = usable if usable.any() else fit.used
-    relative = np.where(which, fit.relative(fit.noise), 0.0)
-    rms = float(np.sqrt(np.mean(relative[which] ** 2)))
+    judged_mask = usable if usable.any() else fit.used
+    relative = np.where(judged_mask, fit.relative(fit.noise), 0.0)
+    rms = float(np.sqrt(np.mean(relative[judged_mask] ** 2)))
     drive, measure = np.unravel_index(int(np.argmax(relative)), relative.shape)
     noisiest = f"{pair_words(pattern, (int(drive), int(measure)))} with {1e6 * relative[drive, measure]:.3g} ppm"
-    finding = f"rms over {int(which.sum())} readings; the noisiest is {noisiest}"
-    ok, words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
-    return _line("noise of a reading", ok, 1e6 * rms, "ppm", words, finding, "" if ok else _less_noise(rms, allowed))
+    finding = f"rms over {int(judged_mask.sum())} readings; the noisiest is {noisiest}"
+    ok, allowed_words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
+    return _line(
+        "noise of a reading", ok, 1e6 * rms, "ppm", allowed_words, finding, "" if ok else _less_noise(rms, allowed)
+    )
 
 
 def _less_noise(rms: float, allowed: ReferenceRing) -> str:

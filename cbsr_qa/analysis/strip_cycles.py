@@ -20,7 +20,7 @@ from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 from cbsr_qa.domain.sensor.sensor_type import Parameter, SensorType
 from cbsr_qa.eit.loads.bodies import StripModel
 
-#: Samples are averaged into this many points per hold: ten times fewer than the load cell's, and enough for seconds.
+#: Points per hold into which samples are averaged: ten times fewer than the load cell's, and enough for seconds.
 _POINTS: Final = 60
 _FEWEST: Final = 8
 
@@ -40,7 +40,7 @@ class StripForce:
 
     Parameters
     ----------
-    samples : of the load cell, or None.
+    samples : samples of the load cell, or None.
     area_mm2 : pressed area.
     limit_N : force at which the load cell saturated; None if it never did.
     """
@@ -60,22 +60,27 @@ class StripForce:
         Samples at the cell's limit are left out; a hold with any in its second half, or with most of its samples
         there, gives no relaxed stress.
         """
-        nothing = np.zeros(0)
+        no_values = np.zeros(0)
         if self.samples is None:
-            return HeldStress(nothing, nothing)
-        taken = self.samples.select_interval(load.hold_start_s, load.release_start_s)
-        if len(taken) < _FEWEST:
-            return HeldStress(nothing, nothing, "holds without force samples give no stress")
-        good = np.ones(len(taken), dtype=np.bool_) if self.limit_N is None else taken.values < self.limit_N
-        if good.sum() < max(_FEWEST, len(taken) // 2) or not good[len(taken) // 2 :].all():
-            why = (
+            return HeldStress(no_values, no_values)
+        held_samples = self.samples.select_interval(load.hold_start_s, load.release_start_s)
+        if len(held_samples) < _FEWEST:
+            return HeldStress(no_values, no_values, "holds without force samples give no stress")
+        below_limit_mask = (
+            np.ones(len(held_samples), dtype=np.bool_) if self.limit_N is None else held_samples.values < self.limit_N
+        )
+        if (
+            below_limit_mask.sum() < max(_FEWEST, len(held_samples) // 2)
+            or not below_limit_mask[len(held_samples) // 2 :].all()
+        ):
+            reason = (
                 f"the load cell is flat at its limit of {self.limit_N:.4g} N: the stress at"
                 f" {100 * load.load.strain:g} % strain is unknown"
             )
-            return HeldStress(nothing, nothing, why)
-        groups = np.array_split(np.flatnonzero(good), min(_POINTS, int(good.sum())))
-        time_s = np.array([taken.time_s[group].mean() for group in groups]) - load.hold_start_s
-        force_N = np.array([taken.values[group].mean() for group in groups])
+            return HeldStress(no_values, no_values, reason)
+        groups = np.array_split(np.flatnonzero(below_limit_mask), min(_POINTS, int(below_limit_mask.sum())))
+        time_s = np.array([held_samples.time_s[group].mean() for group in groups]) - load.hold_start_s
+        force_N = np.array([held_samples.values[group].mean() for group in groups])
         return HeldStress(time_s, force_N / self.area_mm2 * 1e3)
 
 
@@ -97,8 +102,8 @@ class _Pins:
     ohm: Array
 
     def slice_time(self, start_s: float, end_s: float) -> "_Pins":
-        inside = (self.time_s >= start_s) & (self.time_s < end_s)
-        return _Pins(self.time_s[inside], self.ohm[inside])
+        inside_mask = (self.time_s >= start_s) & (self.time_s < end_s)
+        return _Pins(self.time_s[inside_mask], self.ohm[inside_mask])
 
 
 @lru_cache(maxsize=8)
@@ -129,7 +134,7 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
             remedy="add a phase with sequence characterisation to the recipe",
         )
     contact_mm, error_mm = settings.contact_length_mm, settings.contact_length_stderr_mm
-    strip, other = (
+    strip, other_strip = (
         strip_model(record.sensor_type, record.indenter, length_mm, _place_mm(phases))
         for length_mm in (contact_mm, contact_mm + error_mm)
     )
@@ -153,7 +158,7 @@ def characterise_run(record: RunRecord, settings: CharacterisationSettings) -> C
     source = f"characterised in run {identity.run} on strip {identity.sensor.serial}"
     specimen = Specimen(
         strip=strip,
-        other_contacts=other,
+        other_contacts=other_strip,
         resistance_ohm=Parameter(resistance_ohm, deviation / count**0.5, source),
         relative_noise=deviation / resistance_ohm,
         declared=record.sensor_type.response,
@@ -184,10 +189,10 @@ def _pins(frames: FrameBlock | None) -> _Pins:
 
 def _check_contact(phases: list[PhaseRecord]) -> None:
     """Refuse pins that carry no current, and readings that never change."""
-    taken = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
-    if not taken:
+    frame_blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
+    if not frame_blocks:
         raise NumericsError("no frames were taken in the press cycles", remedy="take frames through holds and rests")
-    flags = np.concatenate([frames.flags[:, 0, 0] for frames in taken])
+    flags = np.concatenate([frames.flags[:, 0, 0] for frames in frame_blocks])
     flagged = int(((flags & UNUSABLE) != 0).sum())
     if flagged > _DEAD_SHARE * len(flags):
         raise NumericsError(
@@ -195,7 +200,7 @@ def _check_contact(phases: list[PhaseRecord]) -> None:
             " may be open",
             remedy="check both pins and their leads, or lower the current",
         )
-    ohm = np.concatenate([_pins(frames).ohm for frames in taken])
+    ohm = np.concatenate([_pins(frames).ohm for frames in frame_blocks])
     if not (ohm > 0).all():
         raise NumericsError(
             f"{int((ohm <= 0).sum())} of {len(ohm)} resistances between the pins are not positive",
@@ -211,12 +216,12 @@ def _phase_cycles(
     phase: PhaseRecord, resistance_ohm: float, force: StripForce, unread: list[str]
 ) -> list[CycleReadings]:
     pins = _pins(phase.frames)
-    counts: dict[float, int] = {}
+    cycle_count_by_strain: dict[float, int] = {}
     cycles = []
     for load in phase.loads:
         strain = round(load.load.strain, 9)
-        number = counts.get(strain, 0)
-        counts[strain] = number + 1
+        number = cycle_count_by_strain.get(strain, 0)
+        cycle_count_by_strain[strain] = number + 1
         cycle = _cycle(load, number, pins, resistance_ohm, force)
         if min(len(cycle.held), len(cycle.rested)) < _FEWEST:
             unread.append(
@@ -229,9 +234,9 @@ def _phase_cycles(
 
 
 def _cycle(load: LoadRecord, number: int, pins: _Pins, resistance_ohm: float, force: StripForce) -> CycleReadings:
-    held = pins.slice_time(load.hold_start_s, load.release_start_s)
-    rested = pins.slice_time(load.unloaded_s, load.rest_end_s)
-    before = pins.slice_time(-np.inf, load.press_start_s).ohm[-_BEFORE:]
+    held_pins = pins.slice_time(load.hold_start_s, load.release_start_s)
+    rested_pins = pins.slice_time(load.unloaded_s, load.rest_end_s)
+    ohm_before = pins.slice_time(-np.inf, load.press_start_s).ohm[-_BEFORE:]
     ramp_s = 0.0 if load.clear_s is None else load.clear_s - load.release_start_s
     stress = force.stress(load)
     return CycleReadings(
@@ -242,11 +247,11 @@ def _cycle(load: LoadRecord, number: int, pins: _Pins, resistance_ohm: float, fo
         rest_start_s=load.unloaded_s,
         press_ramp_s=ramp_s,  # the head moves down as fast as up
         release_ramp_s=ramp_s,
-        held_s=held.time_s - load.hold_start_s,
-        held=resistance_ohm / held.ohm - 1,
-        rested_s=rested.time_s - load.unloaded_s,
-        rested=resistance_ohm / rested.ohm - 1,
-        before=resistance_ohm / before - 1 if len(before) else np.zeros(1),
+        held_s=held_pins.time_s - load.hold_start_s,
+        held=resistance_ohm / held_pins.ohm - 1,
+        rested_s=rested_pins.time_s - load.unloaded_s,
+        rested=resistance_ohm / rested_pins.ohm - 1,
+        before=resistance_ohm / ohm_before - 1 if len(ohm_before) else np.zeros(1),
         stress_s=stress.time_s,
         stress_kPa=stress.stress_kPa,
         stress_why=stress.why,

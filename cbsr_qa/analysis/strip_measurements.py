@@ -51,9 +51,9 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
     if line is None:
         yield Measurement(name, None, unit, qualifier=qualifier, how=blocked or fitted.why)
         return
-    parts = ", ".join(f"{part} {error:.2g}" for part, error in fitted.parts)
+    error_parts = ", ".join(f"{part} {error:.2g}" for part, error in fitted.parts)
     yield Measurement(
-        name, line.slope.value, unit, line.slope.stderr, qualifier=qualifier, how=f"{how}; ± of {parts}"
+        name, line.slope.value, unit, line.slope.stderr, qualifier=qualifier, how=f"{how}; ± of {error_parts}"
     )
     yield Measurement(f"{name}_intercept", line.intercept.value, "1", line.intercept.stderr, how=how)
 
@@ -61,14 +61,14 @@ def _line(name: str, fitted: FittedLine, how: str, blocked: str, qualifier: str 
 def _relative_error(material: Characterisation) -> Measurement:
     """Relative standard error of the slope, without the assumed contacts: they affect all slopes equally.
 
-    None if a characterisation does not represent its material, so that a limit on it is not met.
+    The value is None if a characterisation does not represent its material, so that a limit on it is not met.
     """
-    name, fitted = "gauge_factor_error", material.local_against_strain
-    if material.refused or fitted.line is None:
-        return Measurement(name, None, "%", how=next(iter(material.refused), fitted.why))
-    measured = sum(error**2 for part, error in fitted.parts if part != "contacts of the pins") ** 0.5
+    name, fitted_line = "gauge_factor_error", material.local_against_strain
+    if material.refused or fitted_line.line is None:
+        return Measurement(name, None, "%", how=next(iter(material.refused), fitted_line.why))
+    measured = sum(error**2 for part, error in fitted_line.parts if part != "contacts of the pins") ** 0.5
     how = "standard error of the local gauge factor over itself, without what is assumed of the pins' contacts"
-    return Measurement(name, 100 * measured / abs(fitted.line.slope.value), "%", how=how)
+    return Measurement(name, 100 * measured / abs(fitted_line.line.slope.value), "%", how=how)
 
 
 def _strip(material: Characterisation) -> Iterator[Measurement]:
@@ -129,13 +129,18 @@ def _settling(each: StrainSettling) -> Measurement:
 
 
 def _counts(material: Characterisation) -> Iterator[Measurement]:
-    excluded = [level.why for level in material.levels if level.why]
-    used = sum(level.cycles for level in material.levels if not level.why)
-    lost = sum(level.cycles for level in material.levels if level.why) + len(material.unread)
-    yield Measurement("cycles_used", float(used), "1", how="cycles the lines are drawn through")
+    exclusion_reasons = [level.why for level in material.levels if level.why]
+    used_count = sum(level.cycles for level in material.levels if not level.why)
+    excluded_count = sum(level.cycles for level in material.levels if level.why) + len(material.unread)
+    yield Measurement("cycles_used", float(used_count), "1", how="cycles the lines are drawn through")
     yield Measurement(
-        "cycles_excluded", float(lost), "1", how="; ".join((*material.unread, *excluded)) or "none left out"
+        "cycles_excluded",
+        float(excluded_count),
+        "1",
+        how="; ".join((*material.unread, *exclusion_reasons)) or "none left out",
     )
-    yield Measurement("strains_excluded", float(len(excluded)), "1", how="; ".join(excluded) or "none left out")
+    yield Measurement(
+        "strains_excluded", float(len(exclusion_reasons)), "1", how="; ".join(exclusion_reasons) or "none left out"
+    )
     how = "least strain at which α ε + β is three standard errors from zero"
     yield Measurement("lowest_strain", material.lowest_strain, "1", how=how)

@@ -19,7 +19,7 @@ from cbsr_qa.domain.results.calibration import LoadRelaxation
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import FitStatus
 
-#: Earlier force samples are of a head still coming to rest [s].
+#: Time before which force samples are of a head still coming to rest [s].
 _SETTLED_S: Final = 1.0
 _NO_RELAXATION: Final = (FitStatus.REJECTED, FitStatus.DRIFTING)
 
@@ -47,7 +47,8 @@ class Verification:
     Parameters
     ----------
     sensitivity, sensitivity_stderr : estimated over measured force, all loads combined; 1 if nothing changed.
-    reference_change : of the unloaded readings since the calibration, root mean square over that of the readings.
+    reference_change : change of the unloaded readings since the calibration, root mean square over that of the
+        readings.
     noise_ratio : noise of a reading over that of the calibration.
     """
 
@@ -90,10 +91,10 @@ def _check(run: RunObservation, calibration: Calibration) -> None:
         raise CalibrationError(
             f"the calibration has frames of shape {issued.reference.shape}, the run {run.reference.shape}"
         )
-    gone = issued.reconstruction.problem.used & ~run.usable
-    if gone.any():
+    lost_mask = issued.reconstruction.problem.used & ~run.usable
+    if lost_mask.any():
         raise CalibrationError(
-            f"{int(gone.sum())} readings that the calibration needs are no longer usable",
+            f"{int(lost_mask.sum())} readings that the calibration needs are no longer usable",
             remedy="see the report's contacts: repair the electrode, or calibrate the sensor again",
         )
 
@@ -112,24 +113,24 @@ class _Reader:
             phase = self._run.record.phase(load.phase)
             if phase.frames is None or load.together > 1:
                 continue
-            late = load_window(phase, load.record, self._run.settings).steady
-            rows.append(self._rows(late.voltages).mean(axis=0))
-            noise.append(1 / len(late))
+            steady_frames = load_window(phase, load.record, self._run.settings).steady
+            rows.append(self._rows(steady_frames.voltages).mean(axis=0))
+            noise.append(1 / len(steady_frames))
             places.append(load.place_mm)
         if not rows:
             return AS_PLACED
         return sheet_pose_of(np.array(places), self._calibration.filter.search(np.array(rows)), np.array(noise))
 
     def reference_change(self) -> float:
-        before = self._calibration.issued.reference[self._used]
-        now = self._run.reference[self._used] * self._per_A
-        return float(np.linalg.norm(now - before) / np.linalg.norm(before))
+        calibrated = self._calibration.issued.reference[self._used]
+        current = self._run.reference[self._used] * self._per_A
+        return float(np.linalg.norm(current - calibrated) / np.linalg.norm(calibrated))
 
     def noise_ratio(self) -> float:
         """Noise of the unloaded frames about a straight line in time; rows have unit noise in the calibration."""
         rows, time_s = self._rows(self._run.unloaded.voltages), self._run.unloaded.time_s
-        left = off_the_line(rows, time_s)
-        return float(np.sqrt((left**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
+        residuals = off_the_line(rows, time_s)
+        return float(np.sqrt((residuals**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> VerifiedLoad | None:
         """Evaluate one load; None if it was not alone, has no force, or is out of range."""
@@ -139,14 +140,14 @@ class _Reader:
         place = self.sheet_pose.places_mm(np.array([load.place_mm]))[0]
         if load.together > 1 or cell is None or load.force_N is None or phase.frames is None:
             return None
-        held = phase.frames.select_interval(record.hold_start_s, record.release_start_s)
-        before = load_window(phase, record, self._run.settings).before
-        matches = self._calibration.filter.match_at(self._rows(held.voltages), place)
+        held_frames = phase.frames.select_interval(record.hold_start_s, record.release_start_s)
+        frames_before = load_window(phase, record, self._run.settings).before
+        matches = self._calibration.filter.match_at(self._rows(held_frames.voltages), place)
         if not np.isfinite(matches.strength).all():
             return None
-        left = self._calibration.filter.match_at(self._rows(before.voltages), place).strength
-        base = model.residue_share * float(left.mean()) if len(left) else 0.0
-        strength, stderr = self._hold_strength(held.time_s - record.hold_start_s, matches, base, load)
+        strength_before = self._calibration.filter.match_at(self._rows(frames_before.voltages), place).strength
+        base = model.residue_share * float(strength_before.mean()) if len(strength_before) else 0.0
+        strength, stderr = self._hold_strength(held_frames.time_s - record.hold_start_s, matches, base, load)
         match = Matches(place[None], np.array([strength]), np.zeros((1, 3, 3)), np.zeros(1), np.zeros(1))
         match.covariance[0, 0, 0] = stderr**2 + (model.residue_stderr * base / model.residue_share) ** 2
         estimated, error = self._calibration.inverse.force(match)

@@ -30,7 +30,7 @@ class Archived:
     Parameters
     ----------
     runs : those whose frames were moved, or would be.
-    problems : of runs that were left as they were, by name.
+    problems : problems of runs that were left as they were, by name.
     before_bytes, after_bytes : size of the database.
     archive_bytes : size of the files that were written.
     dry_run : whether nothing was moved.
@@ -59,42 +59,44 @@ def archive_runs(
         If the database cannot be used.
     """
     now = datetime.now(UTC)
-    before = now - _age(older_than)
+    begun_before = now - _age(older_than)
     with open_store(database_url(database), create=False) as store:
         folder, runs, size = (
             store.archives.choose_folder(to),
-            store.archives.find_archivable(before),
+            store.archives.find_archivable(begun_before),
             store.measure_size_bytes(),
         )
         if dry_run:
             return _laid_out(Archived(runs, (), size, size, 0, dry_run=True), folder, database)
-        moved, problems = _archive_each(store, runs, folder, now)
-        if moved:
+        archived_runs, problems = _archive_each(store, runs, folder, now)
+        if archived_runs:
             problems += _shrunk(store)
-        written = sum(run.file_bytes for run in moved)
-        return _laid_out(Archived(moved, problems, size, store.measure_size_bytes(), written), folder, database)
+        written_bytes = sum(run.file_bytes for run in archived_runs)
+        return _laid_out(
+            Archived(archived_runs, problems, size, store.measure_size_bytes(), written_bytes), folder, database
+        )
 
 
 def _age(text: str) -> timedelta:
-    found = re.fullmatch(r"([0-9]{1,5})([dwy])", text.strip())
-    if found is None:
+    match = re.fullmatch(r"([0-9]{1,5})([dwy])", text.strip())
+    if match is None:
         raise ConfigError(
             f"--older-than is {text[:40]!r}", remedy="give a number of days, weeks or years: 90d, 12w or 2y"
         )
-    return timedelta(days=int(found[1]) * _DAYS[found[2]])
+    return timedelta(days=int(match[1]) * _DAYS[match[2]])
 
 
 def _archive_each(
     store: Repository, runs: tuple[ArchivedRun, ...], folder: Path, at: datetime
 ) -> tuple[tuple[ArchivedRun, ...], tuple[str, ...]]:
-    moved, problems = [], []
+    archived_runs, problems = [], []
     for number, run in enumerate(runs):
         on_stderr(f"archiving run {number + 1} of {len(runs)} …")
         try:
-            moved.append(store.archives.archive(run, folder, at))
+            archived_runs.append(store.archives.archive(run, folder, at))
         except StoreError as error:
             problems.append(error.reason)
-    return tuple(moved), tuple(problems)
+    return tuple(archived_runs), tuple(problems)
 
 
 def _shrunk(store: Repository) -> tuple[str, ...]:
@@ -106,34 +108,34 @@ def _shrunk(store: Repository) -> tuple[str, ...]:
 
 
 def unarchive_runs(database: str | None, run_or_serial: str) -> CommandOutcome[Archived]:
-    """Bring the frames of a run back. StoreError if it is not archived, or its file is missing or altered."""
+    """Bring the frames of a run back. Raise StoreError if it is not archived, or its file is missing or altered."""
     with open_store(database_url(database), create=False) as store:
         size = store.measure_size_bytes()
         run = store.archives.unarchive(store.runs.resolve(run_or_serial))
-        done = Archived((run,), (), size, store.measure_size_bytes(), 0)
+        archived = Archived((run,), (), size, store.measure_size_bytes(), 0)
     facts = (
         ("Run", _describe_run(run)),
         ("File", f"{run.file} stays: copies of the database may need it"),
-        _size(done),
+        _size(archived),
     )
-    return answer(done, f"{plural(run.frames, 'frame')} brought back into the database", facts=facts)
+    return answer(archived, f"{plural(run.frames, 'frame')} brought back into the database", facts=facts)
 
 
 def _laid_out(done: Archived, folder: Path, database: str | None) -> CommandOutcome[Archived]:
-    frames, held = sum(run.frames for run in done.runs), sum(run.database_bytes for run in done.runs)
-    what = f"{plural(frames, 'frame')} of {plural(len(done.runs), 'run')}"
-    facts = [("Folder", str(folder)), ("Arrays", f"{_megabytes(held)} in the database")]
+    frames, held_bytes = sum(run.frames for run in done.runs), sum(run.database_bytes for run in done.runs)
+    content = f"{plural(frames, 'frame')} of {plural(len(done.runs), 'run')}"
+    facts = [("Folder", str(folder)), ("Arrays", f"{_megabytes(held_bytes)} in the database")]
     if not done.dry_run:
         facts += [("Files", _megabytes(done.archive_bytes)), _size(done)]
     facts += [("Run", _describe_run(run)) for run in done.runs[:_LISTED]]
     if len(done.runs) > _LISTED:
         facts.append(("Run", f"and {len(done.runs) - _LISTED} more; --json lists all"))
-    back = (("Bring back", f"cbsr-qa db unarchive RUN{database_option(database)}"),)
-    headline = f"{what} would be archived" if done.dry_run else f"{what} archived"
+    undo_facts = (("Bring back", f"cbsr-qa db unarchive RUN{database_option(database)}"),)
+    headline = f"{content} would be archived" if done.dry_run else f"{content} archived"
     if not done.runs and not done.problems:
         why = "every run is too recent, did not pass, or is archived already"
         return answer(done, "nothing to archive", why, facts=facts[:1])
-    printed = back if done.runs and not done.dry_run else ()
+    printed = undo_facts if done.runs and not done.dry_run else ()
     return answer(done, headline, facts=facts, printed=printed, warnings=done.problems)
 
 

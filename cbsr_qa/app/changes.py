@@ -48,27 +48,29 @@ class Changes:
 
 
 def list_changes(database: str | None) -> CommandOutcome[Changes]:
-    """List changes of files and control limits, and overrides of verdicts. StoreError if the database is unusable."""
+    """List changes of files and control limits, and overrides. Raise StoreError if the database is unusable."""
     with open_store(database_url(database), create=False) as store:
         charts = tuple(_chart_changes(store.charts.read_all()))
-        altered = store.changes.find_altered()
+        altered_problems = store.changes.find_altered()
         changes = Changes(
-            store.changes.list_all(tuple(altered)),
+            store.changes.list_all(tuple(altered_problems)),
             charts,
-            store.changes.list_overrides(without=tuple(altered)),
-            store.reanalyses.list_adoptions(tuple(altered)),
-            tuple(altered.values()),
+            store.changes.list_overrides(without=tuple(altered_problems)),
+            store.reanalyses.list_adoptions(tuple(altered_problems)),
+            tuple(altered_problems.values()),
         )
         names = {run.run: run_named(run.serial, run.started_at, run.run) for run in store.runs.find()}
-    found = {
+    count_by_noun = {
         "file": len(changes.changes),
         "control chart": len(changes.chart_references),
         "verdict": len(changes.overrides),
-        "analysis": sum(one.runs for one in changes.adoptions),
+        "analysis": sum(adoption.runs for adoption in changes.adoptions),
     }
-    counts = ", ".join(plural(count, noun, _PLURALS.get(noun, "")) for noun, count in found.items() if count)
+    counts_text = ", ".join(
+        plural(count, noun, _PLURALS.get(noun, "")) for noun, count in count_by_noun.items() if count
+    )
     warnings = [f"altered since it was stored, and not listed: {problem}" for problem in changes.altered]
-    outcome = answer(changes, f"changes of {counts}" if counts else _UNCHANGED, warnings=warnings)
+    outcome = answer(changes, f"changes of {counts_text}" if counts_text else _UNCHANGED, warnings=warnings)
     sections = tuple(_sections(changes, lambda run: names.get(run, run)))
     return replace(outcome, sections=sections, exit_code=1 if warnings else 0)
 
@@ -110,15 +112,15 @@ def _section(title: str, why: str, *lines: str) -> Section:
 
 def _differences(now: ChartChange) -> Iterator[str]:
     """Yield a chart's new and earlier limits."""
-    before = now.earlier
+    earlier = now.earlier
     if now.retired:
         yield "retired: nothing is charted against these limits from here on"
         return
     for name in ("mean", "deviation"):
-        was = "" if before is None else f"{number(getattr(before, name), 4)} → "
+        was = "" if earlier is None else f"{number(getattr(earlier, name), 4)} → "
         yield f"{name} {was}{number(getattr(now, name), 4)} {unit_shown(now.unit)}".rstrip()
-    if before is not None and before.settings != now.settings:
-        yield f"settings {_settings(before)} → {_settings(now)}"
+    if earlier is not None and earlier.settings != now.settings:
+        yield f"settings {_settings(earlier)} → {_settings(now)}"
 
 
 def _settings(reference: ChartReference) -> str:
@@ -157,16 +159,16 @@ def override_verdict(
     """
     if outcome not in _OUTCOMES:
         raise ConfigError(f"a verdict cannot be overridden to {outcome!r}", remedy=f"allowed: {', '.join(_OUTCOMES)}")
-    for option, text, what in (("--by", by, "who decides"), ("--why", why, "for what reason")):
+    for option, text, missing_fact in (("--by", by, "who decides"), ("--why", why, "for what reason")):
         if not text.strip():
-            raise ConfigError(f"an override needs {option}", remedy=f"say {what}")
+            raise ConfigError(f"an override needs {option}", remedy=f"say {missing_fact}")
     name, reason = validate_operator(by), validate_reason(why)
     with open_store(database_url(database), create=False) as store:
         analyses = store.analyses.load(run)
         for latest in analyses[:1]:
             check_decided(store.runs.load(run), latest, judging_recipe(store, run, latest).limits)
         override = store.changes.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
-        calibration = next((one.calibration for one in analyses if one.calibration is not None), None)
+        calibration = next((analysis.calibration for analysis in analyses if analysis.calibration is not None), None)
         identity, report = store.runs.read_identity(run), report_command(run, store)
     note = "no calibration was issued; an override does not issue one"
     if calibration is not None and override.outcome is Outcome.FAIL:
@@ -176,6 +178,6 @@ def override_verdict(
     elif calibration is not None:
         note = f"calibration {calibration} is unchanged"
     facts = (("Run", identity.words), ("Calibration", note))
-    done = fill_from_object(Overridden, override, calibration=calibration, note=note)
+    overridden = fill_from_object(Overridden, override, calibration=calibration, note=note)
     printed = (("Report", f"{report} writes it with this"),)
-    return answer(done, f"verdict {override.words}", "", facts, printed=printed)
+    return answer(overridden, f"verdict {override.words}", "", facts, printed=printed)

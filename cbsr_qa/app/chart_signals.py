@@ -35,7 +35,7 @@ def find_chart_signals(
     signals: list[StandingSignal] = []
     notes: dict[str, None] = {}
     for recipe, golden in dict.fromkeys((reference.recipe, reference.golden) for reference in references):
-        members = [one for one in references if (one.recipe, one.golden) == (recipe, golden)]
+        members = [member for member in references if (member.recipe, member.golden) == (recipe, golden)]
         selection = _select_chart_runs(station, members, until)
         table = store.fleet.load_table(selection)
         cut = selection.latest is not None and len(table.runs) >= selection.latest
@@ -43,12 +43,12 @@ def find_chart_signals(
         lines = tuple(run for run in table.runs if run.outcome is not None)
         notes |= dict.fromkeys(clock_notes(lines))
         if identity is not None and recipe == identity.recipe and golden in (None, identity.sensor.serial):
-            own = _build_table(identity, measurements)
-            for key, of in reference_figures(own, members).items():
-                figures.setdefault(key, {}).update(of)
+            own_table = _build_table(identity, measurements)
+            for key, figure_by_run in reference_figures(own_table, members).items():
+                figures.setdefault(key, {}).update(figure_by_run)
             # A resumed run may sort before later ones.
-            others = (run for run in lines if run.run != identity.run)
-            lines = tuple(sorted((*others, *own.runs), key=lambda run: run.run))
+            other_runs = (run for run in lines if run.run != identity.run)
+            lines = tuple(sorted((*other_runs, *own_table.runs), key=lambda run: run.run))
         for reference in members:
             try:
                 signal = _find_signal(reference, lines, figures, cut=cut)
@@ -90,13 +90,13 @@ def _build_table(identity: RunIdentity, measurements: Sequence[Measurement]) -> 
 
 def _select_chart_runs(station: str, members: Sequence[ChartReference], until: str) -> RunSelection:
     """Select the latest runs of one recipe, of one golden sensor or of production."""
-    first = members[0]
+    first_member = members[0]
     grouped = any(member.chart is ChartKind.MEANS for member in members)
     return RunSelection(
-        serials=(first.golden,) if first.golden else (),
+        serials=(first_member.golden,) if first_member.golden else (),
         stations=(station,),
-        recipe=first.recipe,
-        checks=bool(first.golden),
+        recipe=first_member.recipe,
+        checks=bool(first_member.golden),
         after=min(reference.last_run for reference in members),
         up_to=until,
         latest=None if grouped else LOOK_BACK,  # groups are counted from the end of the reference
@@ -113,7 +113,11 @@ def _find_signal(
     figure_by_run = figures.get(reference.key, {})
     later = [line for line in lines if line.run in figure_by_run and line.run > reference.last_run]
     pairs = [(line, figure_by_run[line.run]) for line in later]
-    charted = [(line, one.value) for line, one in pairs if one.value is not None and one.unit == reference.unit]
+    charted = [
+        (line, measurement.value)
+        for line, measurement in pairs
+        if measurement.value is not None and measurement.unit == reference.unit
+    ]
     if len(charted) < reference.subgroup:
         return None
     charts = charts_of([value for _, value in charted], reference, Standard(reference.mean, reference.deviation))

@@ -80,7 +80,7 @@ class DatabaseStatus:
     url : a password hidden.
     schema, head : version found (None: empty or absent) and version this program reads and writes.
     state : ``"empty"``, ``"current"``, ``"older"``, ``"newer"`` or ``"of another program"``.
-    remedy : what to do if it is not current.
+    remedy : what to do if the schema is not current.
     counts : rows by kind.
     """
 
@@ -106,10 +106,10 @@ def _with_next(runs: tuple[IncompleteRun, ...], url: str) -> tuple[IncompleteRun
 
     plugins = discover()
     with open_store(url, create=False) as store:
-        known = [find_next_step(store, run.run, plugins) for run in runs]
+        next_steps = [find_next_step(store, run.run, plugins) for run in runs]
     return tuple(
-        run if found is None else replace(run, phase=found[0] or run.phase, next=found[1])
-        for run, found in zip(runs, known, strict=True)
+        run if next_step is None else replace(run, phase=next_step[0] or run.phase, next=next_step[1])
+        for run, next_step in zip(runs, next_steps, strict=True)
     )
 
 
@@ -131,19 +131,19 @@ def upgrade_database(
     engine = open_engine(parse_url(database_url(option)))
     try:
         file, version = sqlite_file(engine.url), read_version(engine)
-        kept = None
+        backup_file = None
         if backup and file is not None and version.age is Age.OLDER:
-            kept = timestamp_path(file, f"schema-{version.revision}")
-            copy_database(engine, kept, count)
-        before = upgrade(engine, tell=on_stderr)
+            backup_file = timestamp_path(file, f"schema-{version.revision}")
+            copy_database(engine, backup_file, count)
+        version_before = upgrade(engine, tell=on_stderr)
     finally:
         engine.dispose()
-    url, found = address(engine.url), before.revision
-    done = Upgrade(url, found, HEAD, found != HEAD, kept)
-    words = f"schema {found or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date"
-    undo = f"cbsr-qa db restore {shlex.quote(str(kept))}{database_option(option)}"
-    printed = (("Backup", str(kept)), ("Undone by", undo)) if kept else ()
-    return answer(done, url, words, printed=printed)
+    url, revision_before = address(engine.url), version_before.revision
+    done = Upgrade(url, revision_before, HEAD, revision_before != HEAD, backup_file)
+    headline = f"schema {revision_before or 'none'} → {HEAD}" if done.changed else f"schema {HEAD} is up to date"
+    undo = f"cbsr-qa db restore {shlex.quote(str(backup_file))}{database_option(option)}"
+    printed = (("Backup", str(backup_file)), ("Undone by", undo)) if backup_file else ()
+    return answer(done, url, headline, printed=printed)
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +161,7 @@ def database_roles() -> Roles:
 
 
 def database_status(option: str | None) -> CommandOutcome[DatabaseStatus]:
-    """Return the state of a database without changing it. StoreError if it cannot be opened or read."""
+    """Return the state of a database without changing it. Raise StoreError if it cannot be opened or read."""
     engine = open_engine(parse_url(database_url(option)))
     try:
         version = read_version(engine)
@@ -206,7 +206,7 @@ def _laid_out(
         facts.append(("no result", f"{name}: finished; next: its result"))
     resume = f"cbsr-qa run --resume RUN{database_option(option)} continues one of them"
     resumable = status.without_result or any(not run.writer for run in runs)
-    done = answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())
+    outcome = answer(status, status.url, "", facts, printed=(("Continue with", resume),) if resumable else ())
     if not status.remedy:
-        return done
-    return replace(done, page=replace(done.page, banner=Banner("plain", "–", status.url, "")))
+        return outcome
+    return replace(outcome, page=replace(outcome.page, banner=Banner("plain", "–", status.url, "")))

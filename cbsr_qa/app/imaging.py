@@ -27,7 +27,7 @@ from cbsr_qa.report.draw.images import ImagePanel, image_figure
 from cbsr_qa.report.tables import plural
 from cbsr_qa.system.copies import come_back_once
 
-#: Most images that are drawn.
+#: Largest number of images that are drawn.
 _MOST_DRAWN: Final = 6
 
 
@@ -37,10 +37,10 @@ class ImagedFrames:
 
     Parameters
     ----------
-    frames, readings, elements : how many were imaged, of how many readings each, on how many elements.
+    frames, readings, elements : numbers of imaged frames, of readings of each, and of elements.
     warnings : what makes the images doubtful.
     values : (frames, elements) relative conductance change; not in a document.
-    mesh, sensor_type : of the images; not in a document.
+    mesh, sensor_type : mesh and sensor type of the images; not in a document.
     """
 
     reconstruction: str
@@ -82,12 +82,12 @@ def image_frames(
     _check_alike(frames, reference, sensor_type)
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, chosen, "reconstruction")
     flagged = ((np.concatenate([frames.flags, reference.flags]) & UNUSABLE) != 0).any(axis=0)
-    used, unloaded = sensor_type.pattern.usable() & ~flagged, reference.voltages.mean(axis=0)
+    used_mask, unloaded = sensor_type.pattern.usable() & ~flagged, reference.voltages.mean(axis=0)
     tell(f"preparing {chosen.name}")
-    problem = imaging_problem(sensor_type, used=used)
+    problem = imaging_problem(sensor_type, used=used_mask)
     scale = scale_of(unloaded, problem)
     if getattr(method, "absolute", False):
-        problem = imaging_problem(sensor_type, used=used, measured=unloaded / scale)
+        problem = imaging_problem(sensor_type, used=used_mask, measured=unloaded / scale)
     with come_back_once():
         prepared: PreparedReconstruction = method.prepare(problem)
     tell(f"imaging {plural(len(frames), 'frame')}")
@@ -110,14 +110,14 @@ def image_frames(
 
 def _check_alike(frames: FrameBlock, reference: FrameBlock, sensor_type: SensorType) -> None:
     shape = sensor_type.pattern.shape
-    for what, block in (("frames", frames), ("frames of the unloaded sheet", reference)):
+    for noun, block in (("frames", frames), ("frames of the unloaded sheet", reference)):
         if block.voltages.shape[1:] != shape:
             raise NumericsError(
-                f"sensor type {sensor_type.name!r} has frames of {shape}, the {what} have {block.voltages.shape[1:]}",
+                f"sensor type {sensor_type.name!r} has frames of {shape}, the {noun} have {block.voltages.shape[1:]}",
                 remedy="give frames of that shape, or the sensor type that was recorded",
             )
         if not len(block):
-            raise NumericsError(f"there are no {what}")
+            raise NumericsError(f"there are no {noun}")
     if frames.unit is not reference.unit or (frames.current_A or reference.current_A) != (
         reference.current_A or frames.current_A
     ):

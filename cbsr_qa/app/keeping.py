@@ -89,7 +89,7 @@ class DatabaseCheck:
 
 
 def timestamp_path(path: Path, words: str) -> Path:
-    """Return a name beside a file that says what it is and when it was made."""
+    """Return a path next to a file whose name says what it is and when it was made."""
     return path.with_name(f"{path.stem}-{words}-{RealClock().wall():%Y%m%dT%H%M%S}{path.suffix}")
 
 
@@ -108,13 +108,13 @@ def back_up(option: str | None, to: Path, count: Count) -> CommandOutcome[Backup
     finally:
         engine.dispose()
     url = address(engine.url)
-    done = Backup(url, to, version.revision, to.stat().st_size)
-    facts = (("Of", url), ("Schema", str(done.schema)), ("Size", f"{done.size_bytes / 1e6:.1f} MB"))
-    return answer(done, "backup written", _VERIFIED, facts, printed=(("Backup", str(to)),))
+    written = Backup(url, to, version.revision, to.stat().st_size)
+    facts = (("Of", url), ("Schema", str(written.schema)), ("Size", f"{written.size_bytes / 1e6:.1f} MB"))
+    return answer(written, "backup written", _VERIFIED, facts, printed=(("Backup", str(to)),))
 
 
 def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOutcome[Restored]:
-    """Put a backup in the place of a database that nobody uses; what was there is kept beside it.
+    """Replace a database that nobody uses by a backup; the replaced file is kept next to it.
 
     Raises
     ------
@@ -123,21 +123,21 @@ def restore_backup(option: str | None, backup: Path, count: Count) -> CommandOut
     """
     engine = open_engine(parse_url(database_url(option)))
     file = sqlite_file(engine.url)
-    there = file is not None and file.exists()
-    aside = timestamp_path(file or backup, "replaced")
+    had_database = file is not None and file.exists()
+    replaced_file = timestamp_path(file or backup, "replaced")
     try:
-        version = put_back(engine, backup, aside, count)
+        version = put_back(engine, backup, replaced_file, count)
     finally:
         engine.dispose()
     url = address(engine.url)
-    done = Restored(url, backup, aside if there else None, version.revision, HEAD)
-    facts = [("Database", url), ("Schema", f"{done.schema} (this program's is {HEAD})")]
-    printed = [("Kept", str(done.replaced))] if done.replaced else []
+    restored = Restored(url, backup, replaced_file if had_database else None, version.revision, HEAD)
+    facts = [("Database", url), ("Schema", f"{restored.schema} (this program's is {HEAD})")]
+    printed = [("Kept", str(restored.replaced))] if restored.replaced else []
     if version.age is not Age.CURRENT:
         printed.append(
             ("Go on with", f"cbsr-qa db upgrade{database_option(option)}, or an earlier version of cbsr-qa")
         )
-    return answer(done, f"{backup} restored", "it was verified before", facts, printed=printed)
+    return answer(restored, f"{backup} restored", "it was verified before", facts, printed=printed)
 
 
 def check_database(
@@ -147,8 +147,8 @@ def check_database(
 
     Parameters
     ----------
-    since : only runs from this day on, UTC; None for all.
-    quick : without frames, samples and files of calibrations.
+    since : first day of the runs, UTC; None for all runs.
+    quick : whether frames, samples and files of calibrations were left out.
 
     Raises
     ------
@@ -178,16 +178,18 @@ def check_database(
         if not quick:
             problems += _list_problems(store.soundness.find_ring_problems)
         without_key = unsigned if store.key_id else None
-        done = DatabaseCheck(store.address, quick, since, checked, unchained, tuple(problems), without_key, notes)
+        checked_database = DatabaseCheck(
+            store.address, quick, since, checked, unchained, tuple(problems), without_key, notes
+        )
     of_file = sqlite_file(parse_url(database_url(option))) is not None
-    return _laid_out(done, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
+    return _laid_out(checked_database, _RESTORE_FILE if of_file else _RESTORE_ON_SERVER)
 
 
 def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
     """Yield what a part of the check finds; where a cell that cannot be read ends it, that too: the others go on."""
     try:
-        for what in find():
-            yield FoundProblem(None, what)
+        for problem in find():
+            yield FoundProblem(None, problem)
     except OddCellError as error:
         yield FoundProblem(None, error.reason)
 
@@ -195,10 +197,10 @@ def _list_problems(find: Callable[[], Iterable[str]]) -> Iterator[FoundProblem]:
 def _order_problems(store: Repository) -> tuple[list[FoundProblem], tuple[str, ...]]:
     """Return runs that are missing between others, and notes on the order of runs."""
     try:
-        missing, notes = store.soundness.find_order_problems()
+        gaps, notes = store.soundness.find_order_problems()
     except OddCellError as error:
         return [FoundProblem(None, error.reason)], ()
-    return [FoundProblem(gap.after or None, gap.words) for gap in missing], notes
+    return [FoundProblem(gap.after or None, gap.words) for gap in gaps], notes
 
 
 def _laid_out(done: DatabaseCheck, remedy: str) -> CommandOutcome[DatabaseCheck]:

@@ -20,7 +20,7 @@ def charts_after(
 
     Parameters
     ----------
-    identity, measurements : of a run of which no analysis is stored yet, to be charted too.
+    identity, measurements : identity and measurements of a run of which no analysis is stored yet, to be charted too.
     until : leave out references and runs later than this identifier, e.g. of an analysis.
 
     Returns

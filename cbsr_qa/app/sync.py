@@ -125,8 +125,8 @@ def keep_synchronised(
 
 def _tell_pass(sent: Sent, tell: Callable[[str], None], *, told: Sequence[str]) -> None:
     """Tell what a pass did, and rows that it passed over unless they were told before."""
-    for words in (words for words in sent.unread[:MOST_LISTED] if words not in told):
-        tell(f"passed over: {words}")
+    for row in (row for row in sent.unread[:MOST_LISTED] if row not in told):
+        tell(f"passed over: {row}")
     if sent.items or sent.quarantined:
         tell(describe_sent(sent, len(sent.quarantined)))
     for lost in sent.lost[:MOST_LISTED]:
@@ -139,19 +139,19 @@ def sync_status(option: str | None, to: str | None, *, limit_h: float | None = N
     """Return what waits, is quarantined or was let go, whether the centre answers or not; nothing is sent."""
     url = centre_url(to)
     with _station(option) as station:
-        done = sync_outcome(station, "", Sent(), 0.0, limit_h)
+        outcome = sync_outcome(station, "", Sent(), 0.0, limit_h)
         if not url:
-            return done
+            return outcome
         with _centre(to) as centre:
             try:
                 check_centre(centre, station)
-                return add_refusals(done, centre)
+                return add_refusals(outcome, centre)
             except StoreError as error:  # what waits is known without it
-                identity = (*done.page.identity, ("Centre", f"{error.reason}; what it refused is not listed"))
+                identity = (*outcome.page.identity, ("Centre", f"{error.reason}; what it refused is not listed"))
                 return replace(
-                    done,
-                    result=replace(done.result, centre=address(centre.url), centre_problem=error.reason),
-                    page=replace(done.page, identity=identity),
+                    outcome,
+                    result=replace(outcome.result, centre=address(centre.url), centre_problem=error.reason),
+                    page=replace(outcome.page, identity=identity),
                 )
 
 

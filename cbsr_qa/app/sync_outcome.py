@@ -92,18 +92,18 @@ class Synchronised:
     items, runs, rows, bytes, seconds : sent by this command.
     compared : runs that the centre had rows of, compared at both ends by this command.
     notes : runs that the centre has more than this database, in words; only of a command that sends.
-    lost : what this command found that the centre had lost; it was sent again.
+    lost : items that this command found the centre had lost; it sent them again.
     added : runs that this command compared, and of which the centre has rows that this database does not have.
     unread : rows of ``outbox``, and of ``sync_refusals`` and ``sync_settlements`` at the centre, that cannot be read,
         in words; they are passed over.
     waiting : number of items that wait, by kind.
-    backlog_h : how long the oldest of them has waited [h]; None if nothing waits.
+    backlog_h : waiting time of the oldest of them [h]; None if nothing waits.
     limit_h : longest time that is allowed [h]; None for any.
     late : whether the backlog is older than that.
     blocked : items that wait until the centre has what they refer to.
     held : items that are quarantined or were let go.
-    refused : what the centre refused of all stations and is not settled; only of ``--status`` with a centre that
-        answers.
+    refused : items that the centre refused of all stations and that are not settled; only of ``--status`` with a
+        centre that answers.
     """
 
     database: str
@@ -140,16 +140,16 @@ def describe_sent(sent: Sent, quarantined: int) -> str:
     ----------
     quarantined : number of items that the centre or this database holds back.
     """
-    words = (
+    sentence = (
         f"sent: {plural(sent.runs, 'run')}, {plural(sent.items - sent.runs, 'other item')} ({sent.size / 1e6:.1f} MB)"
     )
     if not sent.items:
-        words = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
-    compared = f"; {plural(sent.compared, 'run')} compared at both ends" if sent.compared else ""
-    lost = f"; the centre had lost {plural(len(sent.lost), 'item')}" if sent.lost else ""
-    added = f"; the centre has more rows of {plural(len(sent.added), 'run')}" if sent.added else ""
-    unread = f"; {plural(len(sent.unread), 'row')} passed over" if sent.unread else ""
-    return words + compared + lost + added + _describe_quarantine(quarantined) + unread
+        sentence = "nothing was sent" if quarantined or sent.blocked else "there was nothing to send"
+    compared_words = f"; {plural(sent.compared, 'run')} compared at both ends" if sent.compared else ""
+    lost_words = f"; the centre had lost {plural(len(sent.lost), 'item')}" if sent.lost else ""
+    added_words = f"; the centre has more rows of {plural(len(sent.added), 'run')}" if sent.added else ""
+    unread_words = f"; {plural(len(sent.unread), 'row')} passed over" if sent.unread else ""
+    return sentence + compared_words + lost_words + added_words + _describe_quarantine(quarantined) + unread_words
 
 
 def _describe_quarantine(quarantined: int) -> str:
@@ -172,7 +172,7 @@ def sync_outcome(
     centre : its address; empty if nothing was to be sent.
     limit_h : longest time that something may wait [h]; None for any.
     """
-    entries, kept, waits = waiting(station), list_held(station), backlog(station)
+    entries, held_entries, station_backlog = waiting(station), list_held(station), backlog(station)
     unread = sent.unread or name_unread(station)
     result = Synchronised(
         database=address(station.url),
@@ -184,35 +184,43 @@ def sync_outcome(
         seconds=round(seconds, 3),
         compared=sent.compared,
         notes=tuple(sent.notes),
-        lost=tuple(fill_from_object(LostItem, lost) for lost in sent.lost),
-        added=tuple(fill_from_object(AddedRows, one) for one in sent.added),
+        lost=tuple(fill_from_object(LostItem, lost_item) for lost_item in sent.lost),
+        added=tuple(fill_from_object(AddedRows, added_rows) for added_rows in sent.added),
         unread=tuple(unread),
         waiting=dict(Counter(entry.kind for entry in entries)),
-        backlog_h=waits.age_h,
+        backlog_h=station_backlog.age_h,
         limit_h=limit_h,
-        late=waits.late(limit_h),
+        late=station_backlog.late(limit_h),
         blocked=tuple(fill_from_object(WaitingItem, entry) for entry in entries if entry.why),
-        held=tuple(fill_from_object(WaitingItem, entry) for entry in kept),
+        held=tuple(fill_from_object(WaitingItem, entry) for entry in held_entries),
     )
-    quarantined = [entry for entry in kept if entry.state == QUARANTINED]
+    quarantined = [entry for entry in held_entries if entry.state == QUARANTINED]
     facts = [("Database", address(station.url))]
-    facts += [("Waits", describe_backlog(waits))] if entries and centre else []
+    facts += [("Waits", describe_backlog(station_backlog))] if entries and centre else []
     facts += [
         (f"quarantined {entry.kind}", f"{entry.item}: {_why(entry.kind, entry.item, entry.why)}")
         for entry in quarantined[:MOST_LISTED]
     ]
     facts += [(f"blocked {entry.kind}", f"{entry.item}: {entry.why}") for entry in result.blocked[:MOST_LISTED]]
-    facts += [(f"lost {lost.kind}", f"{lost.item}: {lost.why}") for lost in sent.lost[:MOST_LISTED]]
-    facts += [("rows added", one.why) for one in sent.added[:MOST_LISTED]]
-    facts += [("passed over", words) for words in unread[:MOST_LISTED]]
-    facts += [("Note", words) for words in sent.notes[:MOST_LISTED]]
-    facts += [("Let go", plural(len(kept) - len(quarantined), "item"))] if len(kept) > len(quarantined) else []
+    facts += [
+        (f"lost {lost_item.kind}", f"{lost_item.item}: {lost_item.why}") for lost_item in sent.lost[:MOST_LISTED]
+    ]
+    facts += [("rows added", added_rows.why) for added_rows in sent.added[:MOST_LISTED]]
+    facts += [("passed over", note) for note in unread[:MOST_LISTED]]
+    facts += [("Note", note) for note in sent.notes[:MOST_LISTED]]
+    facts += (
+        [("Let go", plural(len(held_entries) - len(quarantined), "item"))]
+        if len(held_entries) > len(quarantined)
+        else []
+    )
     count = len(quarantined)
-    headline = describe_sent(sent, count) if centre else describe_backlog(waits) + _describe_quarantine(count)
+    headline = (
+        describe_sent(sent, count) if centre else describe_backlog(station_backlog) + _describe_quarantine(count)
+    )
     remedies = (("Quarantine", "cbsr-qa db sync --retry ITEM sends one again, --let-go ITEM leaves it here"),)
-    done = answer(result, headline, "", facts, printed=remedies if quarantined else ())
-    why = _describe_failure(result, quarantined=bool(quarantined))
-    return _mark_failed(done, headline, why) if why else done
+    outcome = answer(result, headline, "", facts, printed=remedies if quarantined else ())
+    failure = _describe_failure(result, quarantined=bool(quarantined))
+    return _mark_failed(outcome, headline, failure) if failure else outcome
 
 
 def _describe_failure(result: Synchronised, *, quarantined: bool) -> str:
@@ -234,21 +242,23 @@ def _mark_failed(done: CommandOutcome[Synchronised], headline: str, why: str) ->
 
 def add_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandOutcome[Synchronised]:
     """Add what the centre refused of all stations."""
-    refused = tuple(fill_from_object(RefusedItem, row) for row in refusals(centre))
+    refused_items = tuple(fill_from_object(RefusedItem, row) for row in refusals(centre))
     unread = tuple(f"at the centre, {words}" for words in name_unread_refusals(centre))
-    result = replace(done.result, centre=address(centre.url), refused=refused, unread=done.result.unread + unread)
+    result = replace(
+        done.result, centre=address(centre.url), refused=refused_items, unread=done.result.unread + unread
+    )
     if unread:
         facts = (*done.page.identity, *(("passed over", words) for words in unread[:MOST_LISTED]))
         done = replace(done, page=replace(done.page, identity=facts))
         done = done if done.exit_code else _mark_failed(done, done.page.banner.headline, _UNREAD)
-    if not refused:
+    if not refused_items:
         return replace(done, result=result)
     lines = tuple(
         Paragraph(
-            f"{one.noted_at:%Y-%m-%d %H:%M}, station {one.station or '–'}, {one.kind} {one.item}:"
-            f" {_why(one.kind, one.item, one.why)}"
+            f"{refusal.noted_at:%Y-%m-%d %H:%M}, station {refusal.station or '–'}, {refusal.kind} {refusal.item}:"
+            f" {_why(refusal.kind, refusal.item, refusal.why)}"
         )
-        for one in refused[-MOST_LISTED:]
+        for refusal in refused_items[-MOST_LISTED:]
     )
     settle = Paragraph(_SETTLE)
     return replace(done, result=result, sections=(*done.sections, Section("Refused by the centre", (*lines, settle))))

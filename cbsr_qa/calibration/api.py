@@ -1,4 +1,4 @@
-"""What a robot imports from :mod:`cbsr_qa.calibration`: a calibration, read and applied to frames."""
+"""Names that a robot imports from :mod:`cbsr_qa.calibration`: a calibration, read and applied to frames."""
 # ruff: noqa: PLC0414 - "X as X" marks a re-export
 
 from cbsr_qa.calibration.force.inverse import Flag as Flag

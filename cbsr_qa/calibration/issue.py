@@ -51,15 +51,15 @@ def issue_calibration(
 
     Parameters
     ----------
-    observation : of the finished run.
-    verdict : of the run; only passed and marginal ones get a calibration.
+    observation : observation of the finished run.
+    verdict : verdict of the run; only passed and marginal ones get a calibration.
     calibration, issued_at : identity (time-ordered UUID as text) and wall clock (ISO with zone).
     phases : names of the phases whose loads are used.
     overlap_threshold : lowest area overlap the recipe accepts [%].
-    noise_figure : measured on this sensor; None if the recipe did not request it.
+    noise_figure : noise figure measured on this sensor; None if the recipe did not request it.
     learned : force model of the sensor; its line replaces the material's α, β against stress, since its map was
         learned with it. None for the reason ``no_force``.
-    learned_from : used and refused loads, in the order of ``learned.refused``.
+    learned_from : loads that were used or refused, in the order of ``learned.refused``.
     confirmed : other loads whose force it predicted within its stated error: they widen the range.
     place : learned from the run's presses; None to locate by the model of the sheet.
 
@@ -74,14 +74,14 @@ def issue_calibration(
     utc, material = _utc(issued_at), observation.record.material
     loads = _loads_of(observation, phases)
     against_stress = material.against_stress if learned is None else learned.line
-    baseline, used = _baseline(observation, loads, against_stress)
+    baseline, used_loads = _baseline(observation, loads, against_stress)
     why = "" if learned else no_force or "no force model was requested"
     reduced = [*_list_left_out(baseline), *list_missing_forces(loads)]
     if learned is None:
         reduced.append(f"no force model: {why}")
     else:
-        used = [load for load, refusal in zip(learned_from, learned.refused, strict=True) if not refusal]
-        reduced += [*force_reductions(learned, learned_from), *list_untrained_ranges(used, confirmed)]
+        used_loads = [load for load, refusal in zip(learned_from, learned.refused, strict=True) if not refusal]
+        reduced += [*force_reductions(learned, learned_from), *list_untrained_ranges(used_loads, confirmed)]
     reduced += reading_reductions(observation.record.sensor_type.pattern, observation.usable)
     relaxations = tuple(_relaxations(observation.tested))
     return stamp(
@@ -97,7 +97,7 @@ def issue_calibration(
             assumed=_list_assumed(learned),
             settling=summarise_settling(relaxations),
             overlap_threshold=overlap_threshold,
-            validity=_validity(observation, [*used, *confirmed], reduced),
+            validity=_validity(observation, [*used_loads, *confirmed], reduced),
             relaxations=relaxations,
             noise_figure=noise_figure,
             force=None if learned is None else as_filed(learned.model),
@@ -120,13 +120,13 @@ def _baseline(
     """ρ̄₀ of every location, and the loads that contributed."""
     noise, mask = observation.noise_images, observation.main_mask
     baseline = baseline_conductance(loads, against_stress, noise, mask)
-    used = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
-    if not used:
+    used_loads = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
+    if not used_loads:
         reasons = (
             "; ".join(dict.fromkeys(place.why for place in baseline)) or "no load in the phases it is taken from"
         )
         raise CalibrationError(f"no load gives a baseline conductance: {reasons}")
-    return baseline, used
+    return baseline, used_loads
 
 
 def summarise_settling(relaxations: Sequence[LoadRelaxation]) -> tuple[SettlingSummary, ...]:
@@ -176,18 +176,18 @@ def _current_A(observation: RunObservation) -> float:
 def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
     for load in loads:
         place = load.record.load
-        for seen in load.relaxations:
+        for relaxation in load.relaxations:
             yield LoadRelaxation(
                 location=place.label,
                 trial=place.trial,
-                signal=seen.signal,
-                loading=seen.loading,
-                fit=seen.fit,
-                settling=seen.settling,
+                signal=relaxation.signal,
+                loading=relaxation.loading,
+                fit=relaxation.fit,
+                settling=relaxation.settling,
                 phase=load.phase,
                 load=load.record.index,
                 strain=place.strain,
-                unit=seen.trace.unit,
+                unit=relaxation.trace.unit,
             )
 
 

@@ -14,7 +14,7 @@ from cbsr_qa.calibration.runtime.press_calibration import PressCalibration
 from cbsr_qa.domain.results.calibration import Calibration as IssuedByRun
 from cbsr_qa.domain.results.press_calibration import PressCalibration as IssuedFromPresses
 
-#: What applies the content of a file, by its type. Another way to calibrate is another entry.
+#: Estimators that apply the content of a file, by its type. Another way to calibrate is another entry.
 ESTIMATORS: Final[dict[type, Callable[[Any], Estimator]]] = {
     IssuedByRun: Calibration,
     IssuedFromPresses: PressCalibration,
@@ -25,7 +25,7 @@ def load_calibration(path: str | Path, *, public_key: str | Path | None = None) 
     """Read a calibration file, of a run or of labelled presses.
 
     Apply it to frames with :meth:`Estimator.estimate`. ``Calibration.load`` and ``PressCalibration.load`` read one
-    kind of file and refuse the other: what they return has more to offer.
+    kind of file and refuse the other: their objects have more methods.
 
     Parameters
     ----------
@@ -42,7 +42,7 @@ def load_calibration(path: str | Path, *, public_key: str | Path | None = None) 
 
 
 def load_foreign_calibration(path: Path, public_key: Path | None = None) -> Estimator:
-    """As :func:`load_calibration`, of a file of unknown origin.
+    """Load a calibration file of unknown origin for use, in a child process.
 
     CalibrationError also if reading it crashes, hangs or takes too much memory.
     """

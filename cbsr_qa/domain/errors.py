@@ -4,7 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Any, ClassVar, Final
 
-#: Begins a line of a remedy that only helps at the command line.
+#: Beginning of a line of a remedy that only helps at the command line.
 AT_COMMAND_LINE: Final = "at the command line: "
 #: Last commit of cbsr-qa that reads and exports databases and calibration files from before 0.1.0.
 LAST_UNRELEASED: Final = "2ab34542"
@@ -19,7 +19,7 @@ class RowProblem:
     Parameters
     ----------
     line : 1-based line of the file.
-    what : in words, with what was found; cut after :data:`LONGEST_PROBLEM` characters.
+    what : the problem in words, with what was found; cut after :data:`LONGEST_PROBLEM` characters.
     rejected : whether the row's numbers were left out (a log line inside a frame is not a rejected row).
     """
 
@@ -111,7 +111,7 @@ class InstrumentError(CbsrError):
     Parameters
     ----------
     role : the instrument's role in the station file, e.g. ``"load_cell"``.
-    address : where it was expected.
+    address : address where it was expected.
     retryable : whether the request may be repeated (after a lost reply, not a broken rule).
     """
 
@@ -191,7 +191,7 @@ class UnconcludedError(StoppedError):
     Parameters
     ----------
     again : command that computes the result from what is stored; nothing moves if the run had finished.
-    by : who or what stopped it.
+    by : person or thing that stopped it.
     """
 
     stated = ("run", "reason", "remedy")

@@ -26,7 +26,7 @@ def fill_from_mapping(kind: type[T], values: Mapping[str, Any], /, **rest: Any) 
 def convert_json(hint: Any, value: Any) -> Any:
     """Return JSON as the type of a field: tables as dataclasses, lists as tuples, words as members of enumerations.
 
-    Of several dataclasses the first with all keys is used. Numbers and texts are unchanged.
+    If the type allows several dataclasses, the first that has all keys is used. Numbers and texts are unchanged.
 
     Raises
     ------
@@ -36,8 +36,8 @@ def convert_json(hint: Any, value: Any) -> Any:
     kinds = get_args(hint) or (hint,)
     if get_origin(hint) is tuple:
         if kinds[-1] is ...:
-            return tuple(convert_json(kinds[0], one) for one in (() if value is None else value))
-        return tuple(convert_json(kind, one) for kind, one in zip(kinds, value, strict=True))
+            return tuple(convert_json(kinds[0], item) for item in (() if value is None else value))
+        return tuple(convert_json(kind, item) for kind, item in zip(kinds, value, strict=True))
     if get_origin(hint) in (Union, UnionType):
         if value is None and NoneType in kinds:
             return None
@@ -53,8 +53,8 @@ def convert_json(hint: Any, value: Any) -> Any:
 def _table(kinds: list[Any], value: Any) -> Any:
     if not isinstance(value, Mapping):
         raise TypeError(f"{str(value)[:60]!r} is not a table")
-    kind = next((one for one in kinds if value.keys() <= _hints(one).keys()), kinds[0])
-    return kind(**{name: convert_json(_hints(kind)[name], one) for name, one in value.items()})
+    kind = next((candidate for candidate in kinds if value.keys() <= _hints(candidate).keys()), kinds[0])
+    return kind(**{name: convert_json(_hints(kind)[name], candidate) for name, candidate in value.items()})
 
 
 def _hints(kind: Any) -> dict[str, Any]:

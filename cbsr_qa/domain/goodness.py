@@ -7,14 +7,14 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array, Mask
 
-#: Energy that a model may leave beside noise, over that which it explains. Weak loads of one size, compared on a
+#: Energy that a model may leave in addition to noise, over the energy that it explains. Weak loads of one size, on a
 #: lattice of 8 % of the radius, leave up to 3 % (99 % of loads) of heads of 4 to 27 % of the radius and contrasts of
 #: −50 to 200 %; unknown noise of a tenth of the median change leaves another 3 %. The rest is for
 #: electrodes, contacts and gains that are off by a tenth or two, which leaves the square of that.
 ALLOWANCE: Final = 0.1
-#: The same as the least share of the signal that a model has to explain.
+#: Least share of the signal that a model has to explain, from the same allowance.
 LEAST_EXPLAINED: Final = 1 / (1 + ALLOWANCE)
-#: Standard deviations of χ² that noise may leave.
+#: Number of standard deviations of χ² that noise may leave.
 _ROOM: Final = 4.0
 
 
@@ -40,14 +40,14 @@ class Goodness:
 
         Parameters
         ----------
-        variance : of the noise of the change, in units of a frame's.
+        variance : variance of the noise of the change, in units of a frame's.
         """
-        left, energy = (change - fitted) ** 2, change**2
+        residual, energy = (change - fitted) ** 2, change**2
         weighted, unweighted = (
-            float(share_explained((energy - left) @ weight, left @ weight, variance * weight.sum()))
+            float(share_explained((energy - residual) @ weight, residual @ weight, variance * weight.sum()))
             for weight in (np.ones_like(sigma), sigma**2)
         )
-        unlike = unlike_model((energy - left).sum() / variance, left.sum() / variance, len(change))
+        unlike = unlike_model((energy - residual).sum() / variance, residual.sum() / variance, len(change))
         return cls(weighted, unweighted, in_model=not unlike)
 
 

@@ -1,6 +1,6 @@
 """Images: one value per mesh element, and the regions found in them.
 
-What a reconstruction is given and what a linear one becomes.
+Problem that a reconstruction is given, and result of a linear one.
 """
 
 from dataclasses import dataclass, field
@@ -16,7 +16,7 @@ from cbsr_qa.domain.numbers import Array, real_numbers
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Of matrix and Jacobian in a file: an image changes by up to 1.2e-3 of its noise (docs/decisions/0047).
+#: Steps of matrix and Jacobian in a file: an image changes by up to 1.2e-3 of its noise (docs/decisions/0047).
 _STEPS: Final = 2**13
 
 
@@ -26,7 +26,7 @@ class Image:
 
     Parameters
     ----------
-    mesh : of e elements.
+    mesh : mesh of e elements.
     values : (e,) float64, relative.
     """
 
@@ -94,9 +94,9 @@ class Blob:
         """Edges of exactly one element of the blob, holes' rims included: (k, 2) nodes, the blob to their left."""
         mesh = self.image.mesh
         edges = mesh.element_edges[self.elements]
-        alone = np.bincount(edges.ravel())[edges] == 1
+        single_mask = np.bincount(edges.ravel())[edges] == 1
         corners = mesh.elements[self.elements]
-        return np.column_stack([corners[alone], corners[:, [1, 2, 0]][alone]])
+        return np.column_stack([corners[single_mask], corners[:, [1, 2, 0]][single_mask]])
 
     def rim_mm(self) -> tuple[Array, Array]:
         """Starts and ends (k, 2) [mm] of the rim's edges."""
@@ -114,7 +114,7 @@ class ImagingProblem:
 
     Parameters
     ----------
-    mesh : of the image, e elements (coarser than the forward model's; no electrodes needed).
+    mesh : mesh of the image, e elements (coarser than the forward model's; no electrodes needed).
     jacobian : (m, e) float64, change of the m used readings per *relative* change of an element's conductance,
         at unit current and unit sheet conductance [V/(A·Ω)].
     reference : (m,) float64, the used readings of the unloaded sheet, same scaling.
@@ -155,8 +155,8 @@ class ParameterAnswer:
     Parameters
     ----------
     criterion : its name, e.g. ``"gcv"``.
-    value : what it would choose; None where it has no answer.
-    words : what it rests on, or why it has none.
+    value : value that the criterion would choose; None where it has no answer.
+    words : grounds of the value, or why there is none.
     """
 
     criterion: str
@@ -172,7 +172,7 @@ class ParameterCurve:
     ----------
     values : (k,) float64 of the parameter, rising.
     noise_figures : (k,) float64, Adler et al. 2009 form, on the model the choice was made on.
-    answers : of every criterion, the one that decided among them; their values are among ``values``.
+    answers : answers of every criterion, the one that decided among them; their values are among ``values``.
     target : noise figure that the criterion of that name asks for; None if not stated.
     discrete : whether the parameter is a count, and ``values`` are all there are.
     """
@@ -197,10 +197,10 @@ class ParameterChoice:
     ----------
     value : λ, or what the method has in its place.
     how : the criterion and its result in words, e.g. ``"noise figure 1.00 on the nominal model"``.
-    noise_figure : of the resulting matrix, Adler et al. 2009 form, on the nominal model.
-    name : what ``value`` is.
-    curve : what there was to choose from; None where the value was given, or is read from a file.
-    criterion : what it was chosen by, in one word (``"noise-figure"``, ``"gcv"``, ``"l-curve"``, ``"discrepancy"``,
+    noise_figure : noise figure of the resulting matrix in the form of Adler et al. 2009, on the nominal model.
+    name : name of the parameter that ``value`` is.
+    curve : choices and their figures; None where the value was given, or is read from a file.
+    criterion : name of the criterion in one word (``"noise-figure"``, ``"gcv"``, ``"l-curve"``, ``"discrepancy"``,
         ``"given"``, ``"none"`` where there is nothing to choose); empty if not stated.
     """
 
@@ -267,7 +267,7 @@ class LinearReconstruction:
         Raises
         ------
         RefusedError
-            As :func:`check_readings`.
+            For the reasons of :func:`check_readings`.
         """
         return check_readings(changes, self.problem) @ self.matrix.T
 
@@ -283,13 +283,13 @@ def check_readings(changes: Array, problem: ImagingProblem) -> Array:
     changes, count = real_numbers(changes, "readings"), len(problem.reference)
     if changes.ndim != 2 or changes.shape[1] != count:
         raise RefusedError(f"readings of shape {changes.shape} do not fit {count} used channels")
-    wrong = np.argwhere(~np.isfinite(changes))
-    if wrong.size:
-        frame, reading = wrong[0]
+    not_finite = np.argwhere(~np.isfinite(changes))
+    if not_finite.size:
+        frame, reading = not_finite[0]
         drive, measure = np.argwhere(problem.used)[reading]
         raise RefusedError(
             f"the reading of drive pair {drive} and measure pair {measure} in frame {frame} is"
-            f" {changes[frame, reading]}, not a finite number (one of {len(wrong)} such)",
+            f" {changes[frame, reading]}, not a finite number (one of {len(not_finite)} such)",
             remedy="mask its channel instead of imaging it",
         )
     return changes

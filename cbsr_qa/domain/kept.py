@@ -33,18 +33,19 @@ class Kept:
 
     Parameters
     ----------
-    path : within its parent's group, or from the root of the file if it begins with ``/``; a group's ends with ``/``.
-    units : of a value; of a group, those its fields inherit by :data:`OWN`.
+    path : path in its parent's group, or from the root if it begins with ``/``; a group's path ends with ``/``.
+    units : units of a value; of a group, those its fields inherit by :data:`OWN`.
     since : version of the file that brought it; 0: every version has it. Earlier files are read with the default,
         which is not written, so that they keep their digests.
-    omitted : not written if it is the default, though every version has it.
-    prepared : follows from the rest of the file.
-    single : kept in single precision; ``shortest``: if lossless.
-    steps : when issued, an array is rounded to so many steps up to its largest magnitude, see :func:`round_to_steps`.
-    columns : kept column by column if it is in steps, so that equal columns stand together and are compressed as one.
+    omitted : whether it is left out of the file if it is the default, though every version has it.
+    prepared : whether the field follows from the rest of the file.
+    single : whether the field is kept in single precision; ``shortest``: if that is lossless.
+    steps : number of steps, up to its largest magnitude, to which an array is rounded when issued, see
+        :func:`round_to_steps`.
+    columns : whether an array in steps is kept by columns, so that equal columns are compressed as one.
     dims : names of the axes, whose lengths agree throughout a dataclass, e.g. ``"n r"``.
     least, most : allowed range; given either, numbers must be finite.
-    source : its attribute in a run's observation, e.g. ``"settings.size_ratio"``.
+    source : attribute of a run's observation, e.g. ``"settings.size_ratio"``.
     given : fields of a group that follow from its path: (name, value).
     not_kept : a field not in the file, or (``from_above``) one that the parent has as well.
     """
@@ -87,10 +88,10 @@ class KeptField:
 
     def path(self, within: str, *, group: bool = False) -> str:
         """Return the path of its dataset or group, given that of its parent group."""
-        own = self.kept.path
-        if own is None:
-            own = self.name.removesuffix(f"_{self._suffix()}") + ("/" if group else "")
-        return own[1:] if own.startswith("/") else within + own
+        own_path = self.kept.path
+        if own_path is None:
+            own_path = self.name.removesuffix(f"_{self._suffix()}") + ("/" if group else "")
+        return own_path[1:] if own_path.startswith("/") else within + own_path
 
     def units(self, of_group: str, default: str) -> str:
         """Return its units, given those of its group."""
@@ -119,8 +120,10 @@ def _read_fields(of: Any) -> tuple[KeptField, ...]:
 
 
 def _read_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
-    said = [one for one in getattr(hint, "__metadata__", ()) if isinstance(one, Kept)]
-    return KeptField(field.name, hint.__origin__ if said else hint, field.default, said[0] if said else Kept())
+    annotations = [annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, Kept)]
+    return KeptField(
+        field.name, hint.__origin__ if annotations else hint, field.default, annotations[0] if annotations else Kept()
+    )
 
 
 def as_filed(held: _Kind) -> _Kind:
@@ -129,13 +132,13 @@ def as_filed(held: _Kind) -> _Kind:
     for field in list_fields(type(held)):
         if field.kept.not_kept:
             continue
-        before = after = getattr(held, field.name)
-        if isinstance(before, np.ndarray) and before.dtype == np.float64:
-            after = _round_as_filed(before, field.kept)
-        elif dataclasses.is_dataclass(before):
-            after = as_filed(before)
-        if after is not before:
-            filed[field.name] = after
+        value = filed_value = getattr(held, field.name)
+        if isinstance(value, np.ndarray) and value.dtype == np.float64:
+            filed_value = _round_as_filed(value, field.kept)
+        elif dataclasses.is_dataclass(value):
+            filed_value = as_filed(value)
+        if filed_value is not value:
+            filed[field.name] = filed_value
     return dataclasses.replace(held, **filed) if filed else held  # type: ignore[type-var]
 
 
@@ -165,8 +168,10 @@ def round_to_steps(values: NDArray[np.float64], steps: int) -> NDArray[np.float6
 def group_of(hint: Any) -> type | None:
     """Return the dataclass of a field, which may be optional; None for other types."""
     types = hint.__args__ if isinstance(hint, UnionType) else (hint,)
-    found = [one for one in types if isinstance(one, type) and dataclasses.is_dataclass(one)]
-    return found[0] if len(found) == 1 else None
+    dataclass_types = [
+        candidate for candidate in types if isinstance(candidate, type) and dataclasses.is_dataclass(candidate)
+    ]
+    return dataclass_types[0] if len(dataclass_types) == 1 else None
 
 
 def walk_fields(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:

@@ -24,7 +24,7 @@ def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[n
     ----------
     values : any shape; lists of lists as well.
     what : plural noun that begins the message.
-    remedy : for values of another type; there is a default.
+    remedy : remedy for values of another type; there is a default.
 
     Raises
     ------
@@ -51,10 +51,10 @@ def finite_numbers(values: ArrayLike, what: str) -> NDArray[np.float64]:
         If one is NaN or infinite, naming the first.
     """
     array = np.asarray(values, dtype=np.float64)
-    bad = np.flatnonzero(~np.isfinite(array))
-    if bad.size:
+    bad_indices = np.flatnonzero(~np.isfinite(array))
+    if bad_indices.size:
         raise NumericsError(
-            f"{what}: value {bad[0]} (from 0) is {array.flat[bad[0]]}, not a finite number",
+            f"{what}: value {bad_indices[0]} (from 0) is {array.flat[bad_indices[0]]}, not a finite number",
             remedy="leave such values out",
         )
     return array

@@ -1,4 +1,4 @@
-"""What reports say of the checks before a run."""
+"""Texts of reports about the checks before a run."""
 
 from collections.abc import Iterable, Sequence
 from typing import Final
@@ -21,17 +21,19 @@ _NOTED: Final = (GateOutcome.WARNED, GateOutcome.OVERRIDDEN, GateOutcome.REFUSED
 def gate_table(caption: str, answers: Iterable[GateAnswer]) -> Table:
     """Return answers of the gate, one a row."""
     rows = [
-        (str(one.check), str(one.policy), Cell(str(one.outcome), _CELLS[one.outcome]), one.sentence)
-        for one in answers
+        (str(answer.check), str(answer.policy), Cell(str(answer.outcome), _CELLS[answer.outcome]), answer.sentence)
+        for answer in answers
     ]
     return text_table(caption, ("Check", "Policy", "Outcome", "Finding"), rows)
 
 
 def gate_words(answers: Sequence[GateAnswer]) -> str:
     """Say which checks did not pass, of how many: ``5 checks; retest overridden: …``; empty if all passed."""
-    asked = [one for one in answers if one.outcome is not GateOutcome.OFF]
-    noted = [f"{one.check} {one.outcome}: {one.sentence}" for one in asked if one.outcome in _NOTED]
-    return "; ".join([plural(len(asked), "check"), *noted]) if noted else ""
+    asked_checks = [answer for answer in answers if answer.outcome is not GateOutcome.OFF]
+    noted = [
+        f"{answer.check} {answer.outcome}: {answer.sentence}" for answer in asked_checks if answer.outcome in _NOTED
+    ]
+    return "; ".join([plural(len(asked_checks), "check"), *noted]) if noted else ""
 
 
 def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:
@@ -39,13 +41,13 @@ def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:
     if not answers:
         return ()
     blocks: list[Block] = [
-        Paragraph(f"Before the run, {one.check} was {one.outcome}: {one.sentence}.", "warning")
-        for one in answers
-        if one.outcome in _NOTED
+        Paragraph(f"Before the run, {answer.check} was {answer.outcome}: {answer.sentence}.", "warning")
+        for answer in answers
+        if answer.outcome in _NOTED
     ]
-    for session in sorted({one.session for one in answers}):
-        own = [one for one in answers if one.session == session]
+    for session in sorted({answer.session for answer in answers}):
+        session_answers = [answer for answer in answers if answer.session == session]
         caption = "Checks before the run." if session == 0 else f"Asked again before resumption {session} of the run."
-        table = gate_table(caption, own)
+        table = gate_table(caption, session_answers)
         blocks.append(Table(table.caption, table.columns, table.rows, folded=True))
     return tuple(blocks)

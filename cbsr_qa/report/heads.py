@@ -57,15 +57,15 @@ def run_page(result: RunResult) -> Page:
 
 
 def _describe_issued(result: RunResult) -> tuple[str, str]:
-    """What a run issued: a calibration, or a material file where a material was characterised."""
+    """Return what a run issued: a calibration, or a material file where a material was characterised."""
     characterised = result.characterisation
     if characterised is None:
         signature = result.calibration.signature if result.calibration else None
         issued = f"issued, signed by {signature.words}" if signature else "issued"
         return "Calibration", issued if result.calibration else f"none: {result.calibration_why}"
     passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
-    why = next(iter(characterised.refused), "" if passed else "the run did not pass")
-    return "Material file", f"none: {why}" if why else "issued"
+    reason = next(iter(characterised.refused), "" if passed else "the run did not pass")
+    return "Material file", f"none: {reason}" if reason else "issued"
 
 
 def _tries(result: RunResult) -> tuple[tuple[str, str], ...]:
@@ -138,6 +138,6 @@ def _describe_strongest(result: RecordingResult) -> str:
         return result.events_why
     strongest = max(result.events, key=lambda event: event.snr)
     sense = "conducts more" if strongest.sign > 0 else "conducts less"
-    when = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
+    time_words = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
     moves = "" if strongest.motion is None else f"; it moves: {strongest.motion.words}"
-    return f"the clearest{when} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"
+    return f"the clearest{time_words} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"

@@ -10,7 +10,7 @@ from cbsr_qa.domain.results.measurement import Measurement, metric_words, relati
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.report.tables import limit_text, plural, value_cell
 
-#: What stands before an outcome, so that it reads without colour.
+#: Signs before an outcome, so that it reads without colour.
 SIGNS: Final = {Outcome.PASS: "✓", Outcome.FAIL: "✗", Outcome.MARGINAL: "≈", Outcome.NOT_MEASURED: "?"}
 
 
@@ -30,8 +30,8 @@ class LocationVerdict:
 
     Parameters
     ----------
-    deciding : of the worst outcome, the measurement closest to (or furthest beyond) its limit.
-    judged : how many measurements.
+    deciding : measurement of the worst outcome that is closest to (or furthest beyond) its limit.
+    judged : number of measurements that were judged.
     """
 
     phase: str
@@ -45,10 +45,10 @@ class LocationVerdict:
 
 def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tuple[LocationVerdict, ...]:
     """Return the verdicts of all places where a single load was judged, in the order they were pressed."""
-    at = {(load.phase, load.record.index): load.record.load for load in run.loads}
+    load_by_key = {(load.phase, load.record.index): load.record.load for load in run.loads}
     groups: dict[tuple[str, str, float, float], list[Measurement]] = {}
     for m in judged:
-        if m.load is not None and (place := at.get((m.phase, m.load))) is not None:
+        if m.load is not None and (place := load_by_key.get((m.phase, m.load))) is not None:
             groups.setdefault((m.phase, place.label, place.x_mm, place.y_mm), []).append(m)
     order = {phase.name: number for number, phase in enumerate(run.record.phases)}
     verdicts = []
@@ -61,16 +61,16 @@ def location_verdicts(run: RunObservation, judged: Sequence[Measurement]) -> tup
 
 def verdicts_in_words(verdicts: Sequence[LocationVerdict]) -> str:
     """Say which locations did not pass, and what decided; the worst first."""
-    kept = [verdict for verdict in verdicts if verdict.outcome is not Outcome.PASS]
-    if not kept:
+    not_passed = [verdict for verdict in verdicts if verdict.outcome is not Outcome.PASS]
+    if not not_passed:
         return f"By location: all {len(verdicts)} pass." if len(verdicts) > 1 else "By location: the only one passes."
-    kept.sort(key=lambda verdict: (SEVERITY.index(verdict.outcome), relative_margin(verdict.deciding)))
-    named = "; ".join(_describe_deciding(verdict) for verdict in kept[:_MOST_NAMED])
-    more = len(kept) - _MOST_NAMED
-    named += f"; and {more} more" if more > 0 else ""
-    passed = len(verdicts) - len(kept)
-    rest = f" The other {passed} pass." if passed > 1 else " The other one passes." if passed else ""
-    return f"By location, {plural(len(kept), 'does', 'do')} not simply pass: {named}.{rest}"
+    not_passed.sort(key=lambda verdict: (SEVERITY.index(verdict.outcome), relative_margin(verdict.deciding)))
+    sentence = "; ".join(_describe_deciding(verdict) for verdict in not_passed[:_MOST_NAMED])
+    unnamed_count = len(not_passed) - _MOST_NAMED
+    sentence += f"; and {unnamed_count} more" if unnamed_count > 0 else ""
+    passed = len(verdicts) - len(not_passed)
+    passed_words = f" The other {passed} pass." if passed > 1 else " The other one passes." if passed else ""
+    return f"By location, {plural(len(not_passed), 'does', 'do')} not simply pass: {sentence}.{passed_words}"
 
 
 def _describe_deciding(verdict: LocationVerdict) -> str:

@@ -22,7 +22,7 @@ def answer(
 
     Parameters
     ----------
-    facts, printed : as in :class:`~cbsr_qa.domain.results.report.Page`.
+    facts, printed : entries as in :class:`~cbsr_qa.domain.results.report.Page`.
     """
     page = Page("", "", Banner("pass", "✓", headline, reason), tuple(facts))
     return CommandOutcome(result, replace(page, printed=tuple(printed), warnings=tuple(warnings)))

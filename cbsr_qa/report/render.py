@@ -27,7 +27,7 @@ _TEMPLATE: Final = "report.html.j2"
 _STYLE: Final = "report.css"
 _FRAGMENT: Final = "fragment.html.j2"
 _FRAGMENT_STYLE: Final = "fragment.css"
-#: What every page begins with.
+#: Beginning of every page.
 _PAGE: Final = "<!DOCTYPE html>"
 
 
@@ -46,9 +46,9 @@ def render_run(result: RunResult, sections: Sequence[ReportSection], *, warnings
     Parameters
     ----------
     result : everything concluded from the run.
-    sections : in the order they are printed. One that raises, or returns what cannot be shown safely, is replaced
-        by a warning with its name and takes nothing else down.
-    warnings : what else went wrong on the way here, e.g. a section plugin that could not be loaded.
+    sections : sections in the order they are printed. One that raises, or returns what cannot be shown safely, is
+        replaced by a warning with its name and takes nothing else down.
+    warnings : other things that went wrong before, e.g. a section plugin that could not be loaded.
 
     Returns
     -------
@@ -82,10 +82,10 @@ def render_fragment(page: Page, sections: Sequence[Section]) -> str:
     """
     environment, style = _environment(), re.sub(r"(?m)^(\s*)(?::root|html|body)\b", r"\1:scope", _style(_STYLE))
     style = re.sub(r"(?m)^@page .*\n", "", style)
-    shown = [_prepare(section, "") for section in sections]
+    prepared = [_prepare(section, "") for section in sections]
     return environment.get_template(_FRAGMENT).render(
         page=page,
-        sections=shown,
+        sections=prepared,
         warnings=page.warnings,
         style=Markup(style + _style(_FRAGMENT_STYLE)),
         anchors=False,
@@ -152,8 +152,8 @@ def _render(
     page: Page, result: RunResult | RecordingResult, sections: Sequence[ReportSection], warnings: Sequence[str]
 ) -> str:
     failed: list[str] = []
-    shown = tuple(_render_each(sections, result, failed))
-    return _page(page, shown, (*warnings, *failed))
+    rendered = tuple(_render_each(sections, result, failed))
+    return _page(page, rendered, (*warnings, *failed))
 
 
 def _page(page: Page, shown: Sequence[_Shown], warnings: Sequence[str]) -> str:
@@ -188,11 +188,11 @@ def _render_each(
     sections: Sequence[ReportSection], result: RunResult | RecordingResult, failed: list[str]
 ) -> Iterator[_Shown]:
     for number, section in enumerate(sections, start=1):
-        shown = _section_shown(section, result, f"s{number}")
-        if isinstance(shown, str):
-            failed.append(shown)
-        elif shown is not None:
-            yield shown
+        rendered = _section_shown(section, result, f"s{number}")
+        if isinstance(rendered, str):
+            failed.append(rendered)
+        elif rendered is not None:
+            yield rendered
 
 
 def _section_shown(section: ReportSection, result: RunResult | RecordingResult, anchor: str) -> _Shown | str | None:

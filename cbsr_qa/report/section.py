@@ -1,4 +1,4 @@
-"""What sections have in common: which results they are about, and that they are left out where they have no block."""
+"""The base of sections: the results they are about, and the rule that a section without blocks is left out."""
 
 from abc import ABC, abstractmethod
 from collections.abc import Iterable
@@ -16,7 +16,7 @@ from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import ReportSection
 from cbsr_qa.system.copies import come_back_once
 
-#: More paragraphs, tables and figures of one section are refused.
+#: Largest number of paragraphs, tables and figures of one section; more are refused.
 MOST_BLOCKS: Final = 1_000
 
 
@@ -79,11 +79,11 @@ def report_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Repo
     Built-in sections come first, in the order of their registration, then others by name.
     """
     sections: list[ReportSection] = []
-    missing: list[str] = []
+    warnings: list[str] = []
     for name in names or plugins.list_names(Kind.SECTION):
         try:
             with come_back_once():
                 sections.append(plugins.factory(Kind.SECTION, name)())
         except BaseException as error:  # noqa: BLE001 - a plugin's constructor may raise anything
-            missing.append(f"The report section {name} is left out: {failure(error)}")
-    return sections, missing
+            warnings.append(f"The report section {name} is left out: {failure(error)}")
+    return sections, warnings

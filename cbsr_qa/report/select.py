@@ -58,7 +58,7 @@ class Measured:
 
 
 def mean_deviation(values: Sequence[float]) -> tuple[float, float | None] | None:
-    """Return mean and standard deviation (None for a single value); None where there is no value."""
+    """Return mean and standard deviation (None for a single value), or None without values."""
     if not values:
         return None
     return fmean(values), stdev(values) if len(values) > 1 else None
@@ -102,25 +102,25 @@ def select_relaxed(loads: Sequence[LoadObservation]) -> tuple[SettledLoad, ...]:
 
 def title_load(load: LoadObservation, *, trials: bool, strains: bool) -> str:
     """Name a load with what tells it from its siblings: ``L3``, ``L3 · 20 %``, ``L3 · 20 % · trial 2``."""
-    wanted = load.record.load
-    parts = [wanted.label]
-    parts += [f"{round(100 * wanted.strain, 1):g} %"] if strains else []
-    parts += [f"trial {wanted.trial + 1}"] if trials and wanted.trial else []
-    return " · ".join(parts)
+    planned_load = load.record.load
+    title_parts = [planned_load.label]
+    title_parts += [f"{round(100 * planned_load.strain, 1):g} %"] if strains else []
+    title_parts += [f"trial {planned_load.trial + 1}"] if trials and planned_load.trial else []
+    return " · ".join(title_parts)
 
 
 def _join_load(load: LoadObservation, run: RunObservation, measured: Measured, title: str) -> SeenLoad:
-    wanted, view = load.record.load, load.mask(run.main_mask)
+    planned_load, view = load.record.load, load.mask(run.main_mask)
     error = measured.find("centre_of_mass_error", load)
     overlap = measured.find("area_overlap", load)
     return SeenLoad(
-        label=wanted.label,
+        label=planned_load.label,
         title=title,
-        x_mm=wanted.x_mm,
-        y_mm=wanted.y_mm,
+        x_mm=planned_load.x_mm,
+        y_mm=planned_load.y_mm,
         radius_mm=load.indenter.radius_mm,
-        pressed=load.indenter.footprint_at(wanted.x_mm, wanted.y_mm),
-        strain=wanted.strain,
+        pressed=load.indenter.footprint_at(planned_load.x_mm, planned_load.y_mm),
+        strain=planned_load.strain,
         image=load.image,
         sensed=view.region if view else None,
         error_mm=error.value if error else None,

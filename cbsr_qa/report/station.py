@@ -1,4 +1,4 @@
-"""What reports and pages say of a station: its latest check, and its control charts."""
+"""Texts of reports and pages about a station: its latest check, and its control charts."""
 
 from collections.abc import Sequence
 from datetime import datetime
@@ -33,20 +33,22 @@ def _row(line: CheckResult) -> tuple[str | Cell, ...]:
 
 def remedies(results: Sequence[CheckResult]) -> tuple[Paragraph, ...]:
     """Return what to do about what failed or warns, a paragraph each."""
-    said = []
+    paragraphs = []
     for line in results:
         if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING):
             tone = "warning" if line.outcome is CheckOutcome.FAILED else "note"
-            found = f"{line.subject}, {line.name}: {line.outcome}"
-            said.append(Paragraph(f"{found}. What to do: {line.remedy}." if line.remedy else f"{found}.", tone))
-    return tuple(said)
+            finding = f"{line.subject}, {line.name}: {line.outcome}"
+            paragraphs.append(
+                Paragraph(f"{finding}. What to do: {line.remedy}." if line.remedy else f"{finding}.", tone)
+            )
+    return tuple(paragraphs)
 
 
 def count_results(check: StationCheck) -> str:
     """Say how many results failed and warn: ``2 failed, 1 warning``; ``none failed``."""
     failed, warned = len(check.lines(CheckOutcome.FAILED)), len(check.lines(CheckOutcome.WARNING))
-    words = f"{failed or 'none'} failed"
-    return f"{words}, {plural(warned, 'warning')}" if warned else words
+    counts = f"{failed or 'none'} failed"
+    return f"{counts}, {plural(warned, 'warning')}" if warned else counts
 
 
 def station_blocks(station: str, check: StationCheck | None, begun: datetime) -> tuple[Block, ...]:
@@ -55,22 +57,24 @@ def station_blocks(station: str, check: StationCheck | None, begun: datetime) ->
     Parameters
     ----------
     check : the latest until then; None where there was none.
-    begun : when the run began.
+    begun : start of the run.
     """
     if check is None:
-        words = f"Station {station} had never been checked when this run began: run cbsr-qa station check."
-        return (Paragraph(words, "note"),)
-    by = f" by {check.operator}" if check.operator else ""
-    at = check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()
-    words = f"Station {station} was last checked {age(check, begun)} before this run began, on {at}{by}"
+        sentence = f"Station {station} had never been checked when this run began: run cbsr-qa station check."
+        return (Paragraph(sentence, "note"),)
+    by_operator = f" by {check.operator}" if check.operator else ""
+    checked_at = check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()
+    sentence = (
+        f"Station {station} was last checked {age(check, begun)} before this run began, on {checked_at}{by_operator}"
+    )
     tone = {CheckOutcome.FAILED: "warning", CheckOutcome.WARNING: "note"}.get(check.outcome, "plain")
     blocks: list[Block] = [
-        Paragraph(f"{words}: of {plural(len(check.results), 'check')}, {count_results(check)}.", tone)
+        Paragraph(f"{sentence}: of {plural(len(check.results), 'check')}, {count_results(check)}.", tone)
     ]
-    bad = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
-    if bad:
-        blocks.append(lines_table("Failed checks and warnings.", bad))
-        blocks += remedies(bad)
+    bad_lines = [line for line in check.results if line.outcome in (CheckOutcome.FAILED, CheckOutcome.WARNING)]
+    if bad_lines:
+        blocks.append(lines_table("Failed checks and warnings.", bad_lines))
+        blocks += remedies(bad_lines)
     full = lines_table(f"All results of check {check.check}.", check.results)
     blocks.append(Table(full.caption, full.columns, full.rows, full.numeric, folded=True))
     return tuple(blocks)
@@ -90,12 +94,12 @@ def chart_blocks(charts: StationCharts | None) -> tuple[Block, ...]:
     """Say which charts signal since when and by which rule; nothing where the station has no reference stored."""
     if charts is None:
         return ()
-    whole = f"{plural(charts.charts, 'control chart')} of {prefix_kind('station', charts.station)}"
+    all_charts = f"{plural(charts.charts, 'control chart')} of {prefix_kind('station', charts.station)}"
     if not charts.signals:
-        blocks: list[Block] = [Paragraph(f"None of {whole} signals.")]
+        blocks: list[Block] = [Paragraph(f"None of {all_charts} signals.")]
     else:
-        words = f"The station is out of control: {len(charts.signals)} of {whole} signal."
-        blocks = [Paragraph(words, "warning")]
+        sentence = f"The station is out of control: {len(charts.signals)} of {all_charts} signal."
+        blocks = [Paragraph(sentence, "warning")]
         blocks += [Paragraph(f"{signal.words()}.", "warning") for signal in charts.signals]
         blocks.append(
             Paragraph(

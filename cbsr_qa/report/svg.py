@@ -65,12 +65,12 @@ def strip_document(document: str) -> str:
 
 def rename_own(body: str) -> str:
     """Keep only names that are referred to, and make them this figure's own: a page holds many figures."""
-    used = set(re.findall(r'(?:href="|url\()#([^")]+)', body))
+    used_ids = set(re.findall(r'(?:href="|url\()#([^")]+)', body))
     mark = hashlib.sha256(body.encode()).hexdigest()[:8]
 
     def rename(match: re.Match[str]) -> str:
         name = match.group(1)
-        return f' id="f{mark}-{name}"' if name in used else ""
+        return f' id="f{mark}-{name}"' if name in used_ids else ""
 
     body = re.sub(r'\sid="([^"]*)"', rename, body)
     return re.sub(r'(href="|url\()#', rf"\g<1>#f{mark}-", body)

@@ -19,13 +19,13 @@ _PREFIXES: Final = {-9: "n", -6: "µ", -3: "m", 0: "", 3: "k", 6: "M", 9: "G"}
 #: Units that take a prefix; lengths and times stay in the unit their name states.
 _SCALABLE: Final = frozenset({"V", "A", "S", "ohm", "Ω"})
 
-#: Decimals beyond which a value in this unit says nothing on this bench, unless its uncertainty says otherwise.
+#: Decimals beyond which a value in this unit means nothing on this bench, unless its uncertainty is smaller.
 _DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1, "s": 1, "N": 2, "kPa": 1}
 
-#: Names that are listed before the rest is only counted.
+#: Number of names that are listed; the rest is only counted.
 _MOST_NAMED: Final = 6
 
-#: What a unit is written as.
+#: Units as they are written.
 _SHOWN: Final = {"1": "", "ohm": "Ω", "percent": "%", "mm2": "mm²", "dB": "dB", "degC": "°C", "count": "counts"}
 
 
@@ -54,12 +54,12 @@ def format_fixed(value: float, decimals: int) -> str:
 
 def plain(value: float, unit: str) -> str:
     """Write a value without a stated uncertainty: three digits, but no more decimals than its unit deserves."""
-    most = _DECIMALS.get(unit)
-    if most is None or abs(value) >= 1e5 or value == 0:
+    most_decimals = _DECIMALS.get(unit)
+    if most_decimals is None or abs(value) >= 1e5 or value == 0:
         return number(value)
-    if round(value, most) == 0:
+    if round(value, most_decimals) == 0:
         return number(value, 1)
-    return format_fixed(value, min(most, max(2 - floor(log10(abs(value))), 0)))
+    return format_fixed(value, min(most_decimals, max(2 - floor(log10(abs(value))), 0)))
 
 
 def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -> str:
@@ -70,28 +70,28 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     """
     if uncertainty is None or uncertainty <= 0:
         return number(value, digits)
-    first = floor(log10(uncertainty))
-    keep = 1 if round(uncertainty / 10.0**first, 6) < 3 else 0  # 0.3 is stored as a little less
-    decimals = keep - first
+    first_exponent = floor(log10(uncertainty))
+    keep = 1 if round(uncertainty / 10.0**first_exponent, 6) < 3 else 0  # 0.3 is stored as a little less
+    decimals = keep - first_exponent
     largest = max(abs(value), uncertainty)
     if largest < 1e5 and (decimals <= 5 or largest >= 1.0):  # a power would not make these shorter
         return f"{format_fixed(value, max(decimals, 0))} ± {format_fixed(uncertainty, max(decimals, 0))}"
     exponent = floor(log10(largest))
     scale = 10.0**exponent
-    shown = max(decimals + exponent, 0)
+    places = max(decimals + exponent, 0)
     power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
-    return f"({format_fixed(value / scale, shown)} ± {format_fixed(uncertainty / scale, shown)}) × {power}"
+    return f"({format_fixed(value / scale, places)} ± {format_fixed(uncertainty / scale, places)}) × {power}"
 
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:
     """Write a number with its unit; volts, amperes, siemens and ohms get a prefix (18.1 kΩ)."""
-    scale, shown = scale_unit(value, unit)
+    scale, shown_unit = scale_unit(value, unit)
     if not uncertainty and scale == 1:
         text = plain(value, unit)
     else:
         text = with_uncertainty(value / scale, None if uncertainty is None else uncertainty / scale)
-    gap = "\N{NO-BREAK SPACE}" if shown else ""
-    return f"{text}{gap}{shown}"
+    gap = "\N{NO-BREAK SPACE}" if shown_unit else ""
+    return f"{text}{gap}{shown_unit}"
 
 
 def scale_unit(value: float, unit: str) -> tuple[float, str]:
@@ -106,11 +106,11 @@ def duration(seconds: float) -> str:
     """Write a time span: ``0.42 s``, ``42 s``, ``18 min 20 s``, ``5 h 24 min``."""
     if seconds < 10:
         return f"{number(seconds, 2)} s"
-    whole = round(seconds)
-    if whole < 60:
-        return f"{whole} s"
-    if whole < 3600:
-        minutes, rest = divmod(whole, 60)
+    whole_s = round(seconds)
+    if whole_s < 60:
+        return f"{whole_s} s"
+    if whole_s < 3600:
+        minutes, rest = divmod(whole_s, 60)
         return f"{minutes} min" + (f" {rest} s" if rest else "")
     hours, rest = divmod(round(seconds / 60), 60)
     return f"{hours} h" + (f" {rest} min" if rest else "")
@@ -197,17 +197,17 @@ def _value_text(measurement: Measurement, value: float, unit: bool) -> str:
 def limit_text(limit: Limit) -> str:
     """Write a limit: ``≤ 5 mm``, ``50 to 100 %``."""
     bounds = [b for b in (limit.lower, limit.upper) if b is not None]
-    scale, shown = scale_unit(max(bounds, key=abs), limit.unit)
-    gap = "\N{NO-BREAK SPACE}" if shown else ""
-    written = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
+    scale, shown_unit = scale_unit(max(bounds, key=abs), limit.unit)
+    gap = "\N{NO-BREAK SPACE}" if shown_unit else ""
+    bound_texts = [f"{bound / scale:.4g}".replace("-", "\N{MINUS SIGN}") for bound in bounds]  # as it was set
     sign = "" if len(bounds) > 1 else "≥ " if limit.lower is not None else "≤ "
-    return f"{sign}{' to '.join(written)}{gap}{shown}"
+    return f"{sign}{' to '.join(bound_texts)}{gap}{shown_unit}"
 
 
 def margin_text(measurement: Measurement) -> str:
     """Write the distance from the nearer bound, negative outside; empty without one.
 
-    Of a lower bound that fails it is written too: it is at best that far outside.
+    The margin of a lower bound that fails is written too: the value is at least that far outside.
     """
     if measurement.limit is None or measurement.value is None:
         return ""
@@ -219,5 +219,5 @@ def margin_text(measurement: Measurement) -> str:
 
 def unit_column(name: str, unit: str) -> str:
     """Head a column: ``E_CoM [mm]``."""
-    shown = unit_shown(unit)
-    return f"{name} [{shown}]" if shown else name
+    shown_unit = unit_shown(unit)
+    return f"{name} [{shown_unit}]" if shown_unit else name

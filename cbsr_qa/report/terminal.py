@@ -76,7 +76,7 @@ def _name(name: str) -> str:
 
 
 def _escape_line(text: str) -> str:
-    """A text of one line without control characters; spaces that must not break are wrapped as others are."""
+    """Return a text as one line without control characters; non-breaking spaces are wrapped like others."""
     return printable(text.replace("\N{NO-BREAK SPACE}", " "))
 
 

@@ -14,10 +14,10 @@ _AT_RAIL = 0.5
 _FLAGGED = 0.01
 #: A channel is stuck if this share of its readings equals one value while the others vary.
 _CONSTANT = 0.98
-#: Stuck from some frame on: a run of repeats this improbable, given how often the channel repeats by chance.
+#: Probability of a run of repeats, given how often the channel repeats by chance, below which it is stuck.
 _FALSE_RUNS = 1e-4
 _LEAST_REPEATS = 0.05
-#: With a larger share of repeats, a run of them proves nothing.
+#: Share of repeats above which a run of them proves nothing.
 _SELDOM = 0.25
 _FEWEST_FRAMES = 8
 #: A channel of counts hardly varies if its noise is below this share of the usual in its row and its column.
@@ -25,7 +25,7 @@ _HARDLY = 0.05
 #: Largest share of the previous reading in a clipped reading, and how well the channels must agree on it.
 _LARGEST_MEMORY = 0.25
 _MEMORY_SPREAD = 0.03
-#: Readings always within one count of each other: nothing is connected.
+#: Range of all readings [counts] up to which nothing is connected.
 _SILENT_COUNTS = 2.0
 _CONVERTER_ENDS = (2**16 - 1, -(2**15))
 #: A ceiling: at least this share of the pairs is at it, and no reading exceeds it by so many times the noise.
@@ -39,9 +39,9 @@ class ChannelFaults:
 
     Parameters
     ----------
-    saturated : at the end of the converter's range, or with the source at its limit.
-    stuck : hardly ever changes, stops changing, or repeats for longer than noise explains.
-    missing : not recorded.
+    saturated : readings at the end of the converter's range, or with the source at its limit.
+    stuck : readings that hardly ever change, stop changing, or repeat for longer than noise explains.
+    missing : readings that were not recorded.
     not_connected : whether no reading differs from any other.
     frozen : whether several frames are all the same: the board repeats itself.
     stuck_from : (drives, measures) int64, first frame of the stretch in which a channel is stuck; −1 otherwise.
@@ -72,21 +72,23 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     ----------
     block : (n, drives, measures), raw, with carry-over.
     """
-    missing = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
-    present = block.voltages[:, ~missing]
+    missing_mask = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
+    present = block.voltages[:, ~missing_mask]
     silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
     not_connected = present.size == 0 or float(np.ptp(present)) <= silent
     at_end = not_connected and present.size > 0 and _is_at_converter_end(present, block.unit)
     not_connected = not_connected and not at_end
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
     saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
-    frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
-    if not (not_connected or at_end or frozen):
-        saturated |= _find_rail_clipping(block, missing)
+    is_frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
+    if not (not_connected or at_end or is_frozen):
+        saturated |= _find_rail_clipping(block, missing_mask)
         if scan is ScanKind.DRIVEN_PAIRS:
             saturated |= _find_ceiling_clipping(block.voltages)
-    stuck_from = np.where(missing, -1, _first_stuck_frames(block))
-    return ChannelFaults(saturated & ~missing, stuck_from >= 0, missing, not_connected, frozen, stuck_from)
+    stuck_from = np.where(missing_mask, -1, _first_stuck_frames(block))
+    return ChannelFaults(
+        saturated & ~missing_mask, stuck_from >= 0, missing_mask, not_connected, is_frozen, stuck_from
+    )
 
 
 def _is_at_converter_end(present: Array, unit: VoltageUnit) -> bool:
@@ -110,7 +112,7 @@ def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:
 def _remembering_rail(level: Array, rail: float) -> Mask:
     """Channels clipped at a rail that show a share of the reading before them: level = rail + m (previous − rail).
 
-    Sought among readings at the same distance from the driven pair, which share m and nothing else.
+    It is sought among readings at the same distance from the driven pair, which only have m in common.
     """
     rows, columns = level.shape
     clipped = np.zeros(level.shape, dtype=bool)
@@ -122,19 +124,21 @@ def _remembering_rail(level: Array, rail: float) -> Mask:
     if not any((level[k, (k + distance) % rows] == rail).any() for distance in (-1, 0, 1)):
         return clipped
     for distance in (-1, 0, 1):
-        at = k, (k + distance) % rows
-        share = (level[at] - rail) / np.where(previous[at] == rail, np.inf, previous[at] - rail)
+        row_and_channel = k, (k + distance) % rows
+        share = (level[row_and_channel] - rail) / np.where(
+            previous[row_and_channel] == rail, np.inf, previous[row_and_channel] - rail
+        )
         middle = float(np.median(share))
-        near = np.abs(share - middle) <= _MEMORY_SPREAD
-        if 0 < middle <= _LARGEST_MEMORY and near.mean() >= 0.75:
-            clipped[at] |= near
+        is_near = np.abs(share - middle) <= _MEMORY_SPREAD
+        if 0 < middle <= _LARGEST_MEMORY and is_near.mean() >= 0.75:
+            clipped[row_and_channel] |= is_near
     return clipped
 
 
 def _find_ceiling_clipping(voltages: Array) -> Mask:
     """Pairs clipped at a common level that no reading exceeds: the source's voltage limit.
 
-    Only for one-row scans, where symmetry does not cause equal levels.
+    Use it only for one-row scans, where symmetry does not cause equal levels.
     """
     rows = voltages[:, 0, :]
     level = np.median(rows, axis=0)
@@ -154,14 +158,14 @@ def _first_stuck_frames(block: FrameBlock) -> NDArray[np.int64]:
     begin = np.full(block.voltages.shape[1:], -1, dtype=np.int64)
     if n < _FEWEST_FRAMES:
         return begin
-    same = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
+    share_at_median = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
     repeats = block.voltages[1:] == block.voltages[:-1]
     # Counts with less than a count of noise stay constant without being stuck: only judge where most channels move.
-    if float(np.median(same)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
+    if float(np.median(share_at_median)) > _SELDOM or float(np.median(repeats.mean(axis=0))) > _SELDOM:
         return begin
-    longest, at = _longest_run(repeats)
-    begin = np.where(longest >= _unlikely_run(repeats, longest), at, begin)
-    begin[same >= _CONSTANT] = 0
+    longest, longest_begin = _longest_run(repeats)
+    begin = np.where(longest >= _unlikely_run(repeats, longest), longest_begin, begin)
+    begin[share_at_median >= _CONSTANT] = 0
     if block.unit is VoltageUnit.COUNT:
         begin[_hardly_varying(block.voltages)] = 0
     return begin

@@ -27,8 +27,8 @@ class Suspect:
 
     Parameters
     ----------
-    name : for messages, "electrode 5".
-    electrodes : with suspected contacts.
+    name : name for messages, e.g. "electrode 5".
+    electrodes : electrodes with suspected contacts.
     readings : (m,) bool, of the used readings.
     """
 
@@ -44,20 +44,23 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
     ----------
     frame : (drives, measures), the typical one. used : same shape, sound readings that touch no driven electrode.
     """
-    silent = []
-    for readings, sound in ((frame, used), (frame.T, used.T)):
+    silent_masks = []
+    for readings, usable_rows in ((frame, used), (frame.T, used.T)):
         spread = np.array(
-            [row[there].std() if there.sum() > 1 else np.nan for row, there in zip(readings, sound, strict=True)]
+            [
+                row[row_mask].std() if row_mask.sum() > 1 else np.nan
+                for row, row_mask in zip(readings, usable_rows, strict=True)
+            ]
         )
-        known = np.isfinite(spread)
-        live = float(np.quantile(spread[known], _LIVE)) if known.any() else 0.0
-        silent.append(known & (spread < SILENT_SPREAD * live))
-    pairs = ((pattern.drive, silent[0]), (pattern.measure, silent[1]))
+        finite_mask = np.isfinite(spread)
+        live = float(np.quantile(spread[finite_mask], _LIVE)) if finite_mask.any() else 0.0
+        silent_masks.append(finite_mask & (spread < SILENT_SPREAD * live))
+    pairs = ((pattern.drive, silent_masks[0]), (pattern.measure, silent_masks[1]))
     of_each = [
-        [bool(quiet[k]) for of_kind, quiet in pairs for k, pair in enumerate(of_kind) if electrode in pair]
+        [bool(is_silent[k]) for of_kind, is_silent in pairs for k, pair in enumerate(of_kind) if electrode in pair]
         for electrode in range(pattern.electrode_count)
     ]
-    return tuple(electrode for electrode, quiet in enumerate(of_each) if quiet and all(quiet))
+    return tuple(electrode for electrode, is_silent in enumerate(of_each) if is_silent and all(is_silent))
 
 
 def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
@@ -79,8 +82,8 @@ def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
         driven = np.array([electrode in pair for pair in pattern.drive])
         measured = np.array([electrode in pair for pair in pattern.measure])
         suspects.append(Suspect(f"electrode {electrode}", (electrode,), driven[drive] | measured[measure]))
-    kept = [suspect for suspect in suspects if suspect.readings.any() and not suspect.readings.all()]
-    return tuple(sorted(kept, key=lambda suspect: int(suspect.readings.sum())))
+    real_suspects = [suspect for suspect in suspects if suspect.readings.any() and not suspect.readings.all()]
+    return tuple(sorted(real_suspects, key=lambda suspect: int(suspect.readings.sum())))
 
 
 def suspect_in(
@@ -100,30 +103,30 @@ def suspect_in(
     The suspect with the fewest readings that explains the change; None where the sheet may have changed.
     """
     for suspect in suspects:
-        inside, outside = _parts(change, hidden, suspect.readings)
-        total = float(inside @ inside + outside @ outside) - noise * len(change)
-        doubt = _SIGMAS * noise * np.sqrt(2 * len(outside))
-        rest = float(outside @ outside) - noise * len(outside)
+        change_inside, change_outside = _parts(change, hidden, suspect.readings)
+        total = float(change_inside @ change_inside + change_outside @ change_outside) - noise * len(change)
+        doubt = _SIGMAS * noise * np.sqrt(2 * len(change_outside))
+        rest = float(change_outside @ change_outside) - noise * len(change_outside)
         if total <= 0 or rest > (1 - _INSIDE) * total + doubt or total < 4 * doubt:
             continue
-        if not _may_be_load(load, outside, hidden, suspect.readings, noise):
+        if not _may_be_load(load, change_outside, hidden, suspect.readings, noise):
             return suspect
     return None
 
 
 def _may_be_load(load: Array, outside: Array, hidden: Array, readings: Mask, noise: float) -> bool:
     """Whether a load may explain the change: its pattern must show in readings that do not touch the contact."""
-    expected = _parts(load, hidden, readings)[1]
-    power = float(expected @ expected)
+    expected_outside = _parts(load, hidden, readings)[1]
+    power = float(expected_outside @ expected_outside)
     if power == 0:
         return True
-    share, error = float(expected @ outside) / power, float(np.sqrt(noise / power))
+    share, error = float(expected_outside @ outside) / power, float(np.sqrt(noise / power))
     return share + _SIGMAS * error > _SEEN_OUTSIDE
 
 
 def _parts(change: Array, hidden: Array, readings: Mask) -> tuple[Array, Array]:
     """Split a change; the nuisance is fitted only to the readings outside, as inside it may be part of the fault."""
-    out = ~readings
-    power = float(hidden[out] @ hidden[out])
-    share = float(hidden[out] @ change[out]) / power if power > 0 else 0.0
-    return change[readings] - share * hidden[readings], change[out] - share * hidden[out]
+    outside_mask = ~readings
+    power = float(hidden[outside_mask] @ hidden[outside_mask])
+    share = float(hidden[outside_mask] @ change[outside_mask]) / power if power > 0 else 0.0
+    return change[readings] - share * hidden[readings], change[outside_mask] - share * hidden[outside_mask]

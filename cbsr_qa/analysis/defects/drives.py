@@ -21,7 +21,7 @@ class DeadDrive:
 
     Parameters
     ----------
-    share : of the current that reaches the sheet, from its readings over their reciprocals.
+    share : share of the current that reaches the sheet, from its readings over their reciprocals.
     own, usual_own : reading of the pair while it is driven itself, and the usual value of the others, as recorded.
     """
 
@@ -37,10 +37,12 @@ class DeadDrive:
 
     def words(self, unit: str) -> str:
         """Name the drive and what was observed; readings in ``unit``."""
-        own = f", and its own is {self.own:.5g} {unit} where {self.usual_own:.5g} is usual" if self.wrapped else ""
+        own_words = (
+            f", and its own is {self.own:.5g} {unit} where {self.usual_own:.5g} is usual" if self.wrapped else ""
+        )
         return (
             f"drive pair {self.drive} is dead: its readings are {self.share:.0%} of those with drive and measurement"
-            f" exchanged{own}; they were left out"
+            f" exchanged{own_words}; they were left out"
         )
 
 
@@ -55,29 +57,29 @@ def find_dead_drives(frame: Array, used: Mask) -> tuple[DeadDrive, ...]:
 
     Returns
     -------
-    None if the readings are not reciprocal enough to decide, because of noise or carry-over.
+    The answer; None if the readings are not reciprocal enough to decide, because of noise or carry-over.
     """
-    both = used & used.T
-    drives = np.flatnonzero(both.sum(axis=1) >= FEWEST_OF_PAIR)
+    both_mask = used & used.T
+    drives = np.flatnonzero(both_mask.sum(axis=1) >= FEWEST_OF_PAIR)
     if len(drives) < FEWEST_OF_PAIR:
         return ()
-    slopes, follow = np.array([_slope(frame[both[:, k], k], frame[k, both[k]]) for k in drives]).T
+    slopes, follow = np.array([_slope(frame[both_mask[:, k], k], frame[k, both_mask[k]]) for k in drives]).T
     if np.median(slopes) < SOUND_SLOPE or np.median(follow) < _FOLLOWS:
         return ()
-    own = np.diag(frame)
+    own_readings = np.diag(frame)
     # A measure pair that reads too much has a row as large as others; a lost contact has a small column too.
-    rows, columns = (np.array([each[k, both[k]].std() for k in drives]) for each in (frame, frame.T))
+    rows, columns = (np.array([matrix[k, both_mask[k]].std() for k in drives]) for matrix in (frame, frame.T))
     dead = drives[
         (slopes < DEAD_SLOPE) & (rows < DEAD_SPREAD * np.median(rows)) & (columns > DEAD_SPREAD * np.median(columns))
     ]
-    usual = float(np.median(np.delete(own, dead)))
-    return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own[k]), usual) for k in dead)
+    usual = float(np.median(np.delete(own_readings, dead)))
+    return tuple(DeadDrive(int(k), float(slopes[drives == k][0]), float(own_readings[k]), usual) for k in dead)
 
 
 def _slope(reciprocal: Array, reading: Array) -> tuple[float, float]:
     """Slope of readings over their reciprocals, each about its mean, and their correlation."""
     x, y = reciprocal - reciprocal.mean(), reading - reading.mean()
-    power, other = float(x @ x), float(y @ y)
-    if power == 0 or other == 0:
-        return 0.0 if other == 0 < power else 1.0, float(other == power)
-    return float(x @ y) / power, float(x @ y) / np.sqrt(power * other)
+    power, reading_power = float(x @ x), float(y @ y)
+    if power == 0 or reading_power == 0:
+        return 0.0 if reading_power == 0 < power else 1.0, float(reading_power == power)
+    return float(x @ y) / power, float(x @ y) / np.sqrt(power * reading_power)

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.readings.loads import LoadRecord
 
-#: A hold with fewer samples does not show that a cell is stuck.
+#: Fewest samples of a hold that show that a cell is stuck.
 _FEWEST: Final = 8
 #: Share of a hold's samples that equal the highest reading of the phase exactly: noise and relaxation would move away
 #: from it.
@@ -25,11 +25,11 @@ def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     """
     if samples is None:
         return ""
-    held = samples.select_interval(record.hold_start_s, record.release_start_s).values
-    if len(held) < _FEWEST:
+    held_forces = samples.select_interval(record.hold_start_s, record.release_start_s).values
+    if len(held_forces) < _FEWEST:
         return ""
     highest = float(samples.values.max())
-    if highest <= 0 or np.mean(held == highest) < _SHARE:
+    if highest <= 0 or np.mean(held_forces == highest) < _SHARE:
         return ""
     rest = samples.select_interval(record.unloaded_s, record.rest_end_s).values
     if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
@@ -48,14 +48,14 @@ def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None
     at_limit = samples.values == highest
     if highest <= 0 or _longest_run(at_limit) < _FLAT:
         return None
-    others = samples.values[~at_limit]
-    still = len(others) > 1 and float((np.diff(others) == 0).mean()) > 0.5
+    below_limit = samples.values[~at_limit]
+    often_repeats = len(below_limit) > 1 and float((np.diff(below_limit) == 0).mean()) > 0.5
     strains = {
         load.load.strain
         for load in loads
         if (samples.select_interval(load.hold_start_s, load.release_start_s).values == highest).any()
     }
-    return highest if not still or len(strains) > 1 else None
+    return highest if not often_repeats or len(strains) > 1 else None
 
 
 def _longest_run(flags: NDArray[np.bool_]) -> int:

@@ -15,7 +15,7 @@ MAD_TO_SIGMA = 1.4826
 #: with q = 1.2816 the normal distribution's 90 % point.
 _TRIMMED = 0.2
 _TRIMMED_MEAN = 0.5586
-#: Uniform rounding to whole counts has this standard deviation.
+#: Standard deviation of uniform rounding to whole counts.
 _ROUNDING = 1 / np.sqrt(12)
 #: A level step: at least half of the channels jump by this many times their noise within one frame, and stay.
 _JUMP = 8.0
@@ -43,9 +43,9 @@ def channel_noise(readings: Array, *, counts: bool) -> Array:
     """
     steps = np.diff(readings, axis=0)
     steps = np.sort(np.abs(steps - np.median(steps, axis=0)), axis=0)
-    # Not the median: for counts it takes few distinct values, and so would the noise.
-    kept = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
-    sigma = kept.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
+    # The median would not do: for counts it takes few distinct values, and so would the noise.
+    smaller_steps = steps[: max(1, round((1 - _TRIMMED) * len(steps)))]
+    sigma = smaller_steps.mean(axis=0) / _TRIMMED_MEAN / np.sqrt(2)
     level = float(np.median(np.abs(readings))) if readings.size else 0.0
     least = _ROUNDING if counts else 1e-7 * level
     floored: Array = np.maximum(sigma, least or 1e-300)
@@ -69,18 +69,18 @@ def _level_steps(time_s: Array, readings: Array, sigma: Array) -> list[NoiseStep
     jumps = np.abs(np.diff(readings, axis=0)) / sigma
     candidates = np.flatnonzero((jumps > _JUMP).mean(axis=1) >= 0.5) + 1
     steps: list[NoiseStep] = []
-    last = -_STAY_FRAMES
-    for at in candidates:
-        before = np.median(readings[max(at - _STAY_FRAMES, 0) : at], axis=0)
-        after = np.median(readings[at : at + _STAY_FRAMES], axis=0)
-        if np.mean(np.abs(after - before) > _JUMP * sigma) >= 0.5:
-            middle = float(time_s[at - 1] + time_s[at]) / 2
-            step = NoiseStep(middle, "level", float(np.median(before)), float(np.median(after)))
-            if steps and at - last < _STAY_FRAMES:
+    last_frame = -_STAY_FRAMES
+    for frame in candidates:
+        level_before = np.median(readings[max(frame - _STAY_FRAMES, 0) : frame], axis=0)
+        level_after = np.median(readings[frame : frame + _STAY_FRAMES], axis=0)
+        if np.mean(np.abs(level_after - level_before) > _JUMP * sigma) >= 0.5:
+            middle = float(time_s[frame - 1] + time_s[frame]) / 2
+            step = NoiseStep(middle, "level", float(np.median(level_before)), float(np.median(level_after)))
+            if steps and frame - last_frame < _STAY_FRAMES:
                 # A step in the middle of a frame shows in two successive frames, and counts once.
                 step = replace(step, before=steps.pop().before)
             steps.append(step)
-            last = int(at)
+            last_frame = int(frame)
     return steps
 
 
@@ -104,16 +104,16 @@ def _split(log: Array, start: int, end: int) -> list[int]:
     n = end - start
     if n < 2 * _NOISE_FRAMES:
         return []
-    part = log[start:end]
-    at = np.arange(_NOISE_FRAMES, n - _NOISE_FRAMES + 1)
-    total = np.concatenate([[0.0], np.cumsum(part)])
-    difference = np.abs((total[n] - total[at]) / (n - at) - total[at] / at)
-    scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(np.diff(part)))) / np.sqrt(2), 1e-12)
-    statistic = difference / (scatter * np.sqrt(1 / at + 1 / (n - at)))
-    best = int(np.argmax(statistic))
-    if statistic[best] < _NOISE_T or difference[best] < np.log(_NOISE_RATIO) / 2:
+    segment = log[start:end]
+    cuts = np.arange(_NOISE_FRAMES, n - _NOISE_FRAMES + 1)
+    total = np.concatenate([[0.0], np.cumsum(segment)])
+    difference = np.abs((total[n] - total[cuts]) / (n - cuts) - total[cuts] / cuts)
+    scatter = max(MAD_TO_SIGMA * float(np.median(np.abs(np.diff(segment)))) / np.sqrt(2), 1e-12)
+    statistic = difference / (scatter * np.sqrt(1 / cuts + 1 / (n - cuts)))
+    best_index = int(np.argmax(statistic))
+    if statistic[best_index] < _NOISE_T or difference[best_index] < np.log(_NOISE_RATIO) / 2:
         return []
-    cut = start + int(at[best])
+    cut = start + int(cuts[best_index])
     return [*_split(log, start, cut), cut, *_split(log, cut, end)]
 
 
@@ -130,19 +130,22 @@ def noise_report(
     Parameters
     ----------
     use : (drives, measures) bool, readings to judge by.
-    busy_s : (start, end) of loads.
+    busy_s : start and end of each load [s].
     timed : whether the times are meaningful; otherwise no drift is given.
     """
     readings = block.voltages[:, use]
     unit = block.unit.value
-    quiet = _longest_quiet(block.time_s, readings, steps, busy_s)
-    if quiet is None or quiet.stop - quiet.start < _FEWEST or not readings.size:
+    quiet_slice = _longest_quiet(block.time_s, readings, steps, busy_s)
+    if quiet_slice is None or quiet_slice.stop - quiet_slice.start < _FEWEST or not readings.size:
         return NoiseReport(None, unit, None, steps, None, 0)
-    part, times = readings[quiet], block.time_s[quiet]
-    sigma = channel_noise(part, counts=block.unit is VoltageUnit.COUNT)
-    drift = _drift_per_min(times, part) if timed else None
+    quiet_readings, times = readings[quiet_slice], block.time_s[quiet_slice]
+    sigma = channel_noise(quiet_readings, counts=block.unit is VoltageUnit.COUNT)
+    drift = _drift_per_min(times, quiet_readings) if timed else None
     rounding = 1 if unit == "count" else 0
-    apart = np.abs(part - np.median(part, axis=0)) > _OUTLIER * np.maximum(sigma, rounding) + rounding / 2
+    is_outlier = (
+        np.abs(quiet_readings - np.median(quiet_readings, axis=0))
+        > _OUTLIER * np.maximum(sigma, rounding) + rounding / 2
+    )
     return NoiseReport(
         rms=float(np.median(sigma)),
         unit=unit,
@@ -150,7 +153,7 @@ def noise_report(
         steps=steps,
         quiet_s=(float(times[0]), float(times[-1])),
         frames=len(times),
-        outliers=float(np.mean(apart)),
+        outliers=float(np.mean(is_outlier)),
     )
 
 
@@ -168,11 +171,11 @@ def _longest_quiet(
     time_s: Array, readings: Array, steps: tuple[NoiseStep, ...], busy_s: tuple[tuple[float, float], ...]
 ) -> slice | None:
     group = np.searchsorted(np.array([step.time_s for step in steps]), time_s, side="right")
-    quiet = np.ones(len(time_s), dtype=bool)
+    quiet_mask = np.ones(len(time_s), dtype=bool)
     for start, end in busy_s:
-        quiet &= (time_s < start) | (time_s > end)
+        quiet_mask &= (time_s < start) | (time_s > end)
         group = group + (time_s > end)
-    stretches = [np.flatnonzero(quiet & (group == label)) for label in np.unique(group[quiet])]
+    stretches = [np.flatnonzero(quiet_mask & (group == label)) for label in np.unique(group[quiet_mask])]
     if not stretches:
         return None
     longest = max(len(members) for members in stretches)

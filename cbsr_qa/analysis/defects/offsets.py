@@ -31,21 +31,21 @@ def find_offsets(readings: Array, sigma: Array) -> tuple[tuple[int, float], ...]
     jumps = np.median(np.diff(readings, axis=0), axis=1)
     noise = float(np.median(sigma))
     usual = MAD_TO_SIGMA * float(np.median(np.abs(jumps - np.median(jumps))))
-    sudden = np.flatnonzero(np.abs(jumps) > max(_SUDDEN * usual, _SIZEABLE * noise / 2)) + 1
-    found: list[tuple[int, float]] = []
-    last = 0
-    for at in sudden.tolist():
+    jump_frames = np.flatnonzero(np.abs(jumps) > max(_SUDDEN * usual, _SIZEABLE * noise / 2)) + 1
+    offsets: list[tuple[int, float]] = []
+    last_frame = 0
+    for frame in jump_frames.tolist():
         # An offset in the middle of a frame shows in two frames, and counts once.
-        later = sudden[sudden > at + 1]
-        until = min(at + _STAY_FRAMES, int(later[0]) if len(later) else len(readings))
-        begin = max(at - _STAY_FRAMES, last)
-        if found and at - last < 2 and until - at > 1:
+        later_jumps = jump_frames[jump_frames > frame + 1]
+        end_frame = min(frame + _STAY_FRAMES, int(later_jumps[0]) if len(later_jumps) else len(readings))
+        begin = max(frame - _STAY_FRAMES, last_frame)
+        if offsets and frame - last_frame < 2 and end_frame - frame > 1:
             continue
-        size, uneven = _common(readings[begin:at], readings[at:until], sigma)
+        size, uneven = _common(readings[begin:frame], readings[frame:end_frame], sigma)
         if abs(size) > _SIZEABLE * noise and uneven < _UNEVEN * abs(size):
-            found.append((at, size))
-            last = at
-    return tuple(found)
+            offsets.append((frame, size))
+            last_frame = frame
+    return tuple(offsets)
 
 
 def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
@@ -59,14 +59,14 @@ def _common(before: Array, after: Array, sigma: Array) -> tuple[float, float]:
 
 def offset_words(offsets: tuple[tuple[int, float], ...], time_s: Array, unit: str) -> list[str]:
     """Name sudden offsets with their times (n,) of the frames; nothing without any."""
-    listed = ", ".join(f"{size:+.3g} {unit} at {time_s[at]:.1f} s" for at, size in offsets)
-    words = f"all readings changed by one offset, not by a load: {listed}; it was taken out"
-    return [words] if offsets else []
+    listed = ", ".join(f"{size:+.3g} {unit} at {time_s[frame]:.1f} s" for frame, size in offsets)
+    sentence = f"all readings changed by one offset, not by a load: {listed}; it was taken out"
+    return [sentence] if offsets else []
 
 
 def subtract_offsets(voltages: Array, offsets: tuple[tuple[int, float], ...]) -> Array:
     """Take offsets out of (n, drives, measures) readings, relative to the first frame."""
-    added = np.zeros(len(voltages))
+    offset_by_frame = np.zeros(len(voltages))
     for frame, size in offsets:
-        added[frame:] += size
-    return voltages - added[:, None, None]
+        offset_by_frame[frame:] += size
+    return voltages - offset_by_frame[:, None, None]

@@ -9,7 +9,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 
-#: With fewer frames scatter about a straight line is meaningless.
+#: Fewest frames for which scatter about a straight line means anything.
 FEWEST_FRAMES: Final = 3
 _ROUNDING: Final = 1e-13  # of the largest level: less is rounding
 
@@ -29,11 +29,11 @@ def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
     readings = frames.voltages.reshape(len(frames), -1)
     squares = (off_the_line(readings - readings.mean(axis=0), frames.time_s) ** 2).reshape(frames.voltages.shape)
     noise = np.sqrt(squares.sum(axis=0) / (len(frames) - 2))
-    silent = noise <= _ROUNDING * level.max(initial=0.0)
-    ratio = level / np.where(silent, 1.0, noise)
+    silent_mask = noise <= _ROUNDING * level.max(initial=0.0)
+    ratio = level / np.where(silent_mask, 1.0, noise)
     loud = ratio > 0
     decibel = np.where(loud, 20 * np.log10(np.where(loud, ratio, 1.0)), -np.inf)
-    return np.where(silent, np.inf, decibel)
+    return np.where(silent_mask, np.inf, decibel)
 
 
 def reciprocity_errors(
@@ -53,13 +53,13 @@ def reciprocity_errors(
     are 0.
     """
     pairs, sign = pattern.reciprocal_pairs()
-    both = usable.ravel()[pairs].all(axis=1)
-    first, second = frame.ravel()[pairs[both]].T
-    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if both.any() else 0.0
+    usable_pairs = usable.ravel()[pairs].all(axis=1)
+    first, second = frame.ravel()[pairs[usable_pairs]].T
+    level = float(np.sqrt(np.mean(np.concatenate([first, second]) ** 2))) if usable_pairs.any() else 0.0
     if level == 0:
         return np.empty((0, 2), dtype=np.int64), np.empty(0)
-    errors: Array = np.abs(first - sign[both] * second) / level
-    return pairs[both], errors
+    errors: Array = np.abs(first - sign[usable_pairs] * second) / level
+    return pairs[usable_pairs], errors
 
 
 def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int, int]) -> Array:

@@ -13,13 +13,13 @@ def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
 
     Returns
     -------
-    None if one polarity has too few of the readings to tell.
+    The side that answers; None if one polarity has too few of the readings to tell.
     """
-    positive = modelled > 0
-    if not _LEAST_SIDE <= positive.mean() <= 1 - _LEAST_SIDE:
+    positive_mask = modelled > 0
+    if not _LEAST_SIDE <= positive_mask.mean() <= 1 - _LEAST_SIDE:
         return None
     about = levels.astype(np.float64)
-    for side in (positive, ~positive):
+    for side in (positive_mask, ~positive_mask):
         usual = np.median(np.abs(modelled[side] - np.median(modelled[side])))
         about[side] = (about[side] - np.median(about[side])) / usual
-    return compare_sides(np.abs(about), positive)
+    return compare_sides(np.abs(about), positive_mask)

@@ -39,20 +39,20 @@ def remove_spikes(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array
     level[:, usable] = median_filter(voltages[:, usable], size=(2 * _HALF_WINDOW + 1, 1), mode="mirror")
     sigma = np.ones(usable.shape)
     sigma[usable] = channel_noise(voltages[:, usable], counts=counts)
-    apart = voltages - level
+    deviation = voltages - level
     # Where most readings of a frame are far from their neighbours in time, the noise has grown, or the sheet moved.
-    unrest = MAD_TO_SIGMA * np.median(np.abs(apart[:, usable]) / sigma[usable], axis=1)
-    far = (np.abs(apart) > SPIKE_SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
-    spikes = far & _alone(apart, far, usable)
+    unrest = MAD_TO_SIGMA * np.median(np.abs(deviation[:, usable]) / sigma[usable], axis=1)
+    far_mask = (np.abs(deviation) > SPIKE_SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
+    spikes = far_mask & _alone(deviation, far_mask, usable)
     return np.where(spikes, level, voltages), spikes
 
 
 def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
     """Whether the reciprocal of a reading did not change with it."""
     square = usable.shape[0] == usable.shape[1]
-    partner = usable & usable.T if square else np.zeros_like(usable)
+    partner_mask = usable & usable.T if square else np.zeros_like(usable)
     few = (far.sum(axis=(1, 2)) <= MOST_SPIKES * usable.sum())[:, None, None]
-    alone: Mask = np.broadcast_to(few, far.shape)
+    alone_mask: Mask = np.broadcast_to(few, far.shape)
     if square:
-        alone = np.where(partner, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone)
-    return alone
+        alone_mask = np.where(partner_mask, reciprocal_unchanged(apart, apart.swapaxes(1, 2)), alone_mask)
+    return alone_mask

@@ -34,7 +34,7 @@ class AnalysisChoices:
     Parameters
     ----------
     correct_carry_over : None to correct where the estimate is significant and makes reciprocity better.
-    sensor_type : what was measured; None for the nominal disc, without any lengths in millimetres.
+    sensor_type : type of the sensor; None for the nominal disc, without any lengths in millimetres.
     reconstruction : name and options of the reconstruction of events, which are part of the result.
     """
 
@@ -96,9 +96,9 @@ def analyse_recording(
 
 
 def frame_rate_hz(recording: Recording) -> float | None:
-    """Frames per second: from the typical step on the board's clock, from the whole length on the computer's.
+    """Return frames per second: from the typical step on the board's clock, from the whole length on the computer's.
 
-    None for still images and files without times. Steps a tenth longer than the median (a watchdog dump inside a
+    Return None for still images and files without times. Steps a tenth longer than the median (a watchdog dump in a
     frame, lost frames) are left out; a computer's steps are those of its serial buffer, so only the whole length
     counts.
     """
@@ -115,8 +115,8 @@ def frame_rate_hz(recording: Recording) -> float | None:
 def _search_loads(
     recording: Recording, ready: ReadyReadings, choices: AnalysisChoices, rate_hz: float | None
 ) -> Searched:
-    if why := _why_no_signal(recording, ready) or _why_no_image(recording, ready):
-        return Searched((), why)
+    if reason := _why_no_signal(recording, ready) or _why_no_image(recording, ready):
+        return Searched((), reason)
     sensor_type = choices.sensor_type or nominal_disc(recording.layout, ready.block.voltages.shape[1])
     if sensor_type.pattern.shape != ready.block.voltages.shape[1:]:
         raise RecordingError(
@@ -175,26 +175,26 @@ def _saturation(recording: Recording) -> str:
     """Describe the level of a recording whose readings are all saturated."""
     level, unit = np.median(recording.frames.voltages, axis=0), recording.frames.unit.value
     low, high = float(level.min()), float(level.max())
-    at = f"{high:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
-    return f"saturated: all {level.size} readings are at their ceiling ({at})"
+    level_words = f"{high:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
+    return f"saturated: all {level.size} readings are at their ceiling ({level_words})"
 
 
 def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, ...]) -> NoiseReport:
-    use = ready.noise_use()
+    reading_use = ready.noise_use()
     block = recording.frames
-    readings = block.voltages[:, use]
+    readings = block.voltages[:, reading_use]
     busy = tuple((event.start_s, event.end_s) for event in events)
     steps: tuple[NoiseStep, ...] = ()
     if len(block) > 1:
         sigma = channel_noise(readings, counts=block.unit is VoltageUnit.COUNT)
         steps = find_steps(block.time_s, readings, sigma)
         steps = tuple(s for s in steps if s.what == "noise" or not any(a - 1 <= s.time_s <= b + 1 for a, b in busy))
-    return noise_report(block, use, steps, busy, timed=not recording.still and recording.clock != "none")
+    return noise_report(block, reading_use, steps, busy, timed=not recording.still and recording.clock != "none")
 
 
 def _unlike_the_model(searched: Searched) -> list[str]:
     """Say that this is not the sheet that is modelled, where most events are not those of loads on it."""
-    fits = [seen.goodness for seen in searched.sightings]
+    fits = [sighting.goodness for sighting in searched.sightings]
     if sum(fit.in_model for fit in fits) * 2 >= len(fits):
         return []
     share = float(np.median([fit.explained for fit in fits]))

@@ -53,10 +53,10 @@ def find_changes(scores: Array) -> tuple[Change, ...]:
     changes: list[Change] = []
     for window in WINDOWS:
         while len(changes) < _MOST_CHANGES:
-            more = _strongest(scores, window, changes)
-            if not more:
+            further = _strongest(scores, window, changes)
+            if not further:
                 break
-            changes += more
+            changes += further
     return tuple(sorted(_rescore(scores, changes), key=lambda change: change.frame))
 
 
@@ -67,9 +67,9 @@ def nearest_step(scores: Array) -> tuple[float, float]:
     """
     steps = [(0.0, threshold_for(len(scores), WINDOWS[0]))]
     for window in WINDOWS:
-        at, z = _steps(scores, window, [])
+        quiet_frames, z = _steps(scores, window, [])
         if z.size:
-            steps.append((float(np.abs(z).max()), threshold_for(len(at), window)))
+            steps.append((float(np.abs(z).max()), threshold_for(len(quiet_frames), window)))
     return max(steps, key=lambda step: step[0] / step[1])
 
 
@@ -80,19 +80,23 @@ def threshold_for(moments: int, window: int) -> float:
 
 def _strongest(scores: Array, window: int, known: list[Change]) -> list[Change]:
     """Steps above the threshold, strongest first, none within the windows of a stronger one."""
-    at, z = _steps(scores, window, known)
+    frames, z = _steps(scores, window, known)
     if not z.size:
         return []
     size = np.abs(z).max(axis=1)
-    threshold = threshold_for(len(at), window)
-    taken: list[Change] = []
-    for best in np.argsort(-size, kind="stable"):
-        if size[best] < threshold:
+    threshold = threshold_for(len(frames), window)
+    strongest: list[Change] = []
+    for candidate in np.argsort(-size, kind="stable"):
+        if size[candidate] < threshold:
             break
-        if all(abs(int(at[best]) - other.frame) > _reach(window, other) for other in taken):
-            place = int(np.argmax(np.abs(z[best])))
-            taken.append(Change(int(at[best]), window, place, int(np.sign(z[best, place])), float(size[best])))
-    return taken
+        if all(abs(int(frames[candidate]) - other.frame) > _reach(window, other) for other in strongest):
+            place = int(np.argmax(np.abs(z[candidate])))
+            strongest.append(
+                Change(
+                    int(frames[candidate]), window, place, int(np.sign(z[candidate, place])), float(size[candidate])
+                )
+            )
+    return strongest
 
 
 def _reach(window: int, change: Change) -> int:
@@ -102,19 +106,19 @@ def _reach(window: int, change: Change) -> int:
 
 def _steps(scores: Array, window: int, known: list[Change]) -> tuple[NDArray[np.int64], Array]:
     """Moments whose windows contain no step found before, and each place's step over its noise there."""
-    at = _quiet(len(scores), window, known)
-    if len(at) < _enough(window):
-        return at, np.empty((0, scores.shape[1]))
-    step = _differences(scores, at, window)
+    quiet_frames = _quiet(len(scores), window, known)
+    if len(quiet_frames) < _enough(window):
+        return quiet_frames, np.empty((0, scores.shape[1]))
+    step = _differences(scores, quiet_frames, window)
     middle, noise = _spread(step)
-    return at, (step - middle) / noise
+    return quiet_frames, (step - middle) / noise
 
 
 def _quiet(frames: int, window: int, known: list[Change]) -> NDArray[np.int64]:
-    at = np.arange(window, frames - window + 1, dtype=np.int64)
+    quiet_frames = np.arange(window, frames - window + 1, dtype=np.int64)
     for change in known:
-        at = at[np.abs(at - change.frame) > _reach(window, change)]
-    return at
+        quiet_frames = quiet_frames[np.abs(quiet_frames - change.frame) > _reach(window, change)]
+    return quiet_frames
 
 
 def _enough(window: int) -> int:
@@ -135,15 +139,15 @@ def _spread(step: Array) -> tuple[Array, Array]:
 
 
 def _rescore(scores: Array, changes: list[Change]) -> list[Change]:
-    out: list[Change] = []
+    rescored: list[Change] = []
     for window in WINDOWS:
-        own = [change for change in changes if change.window == window]
-        at = _quiet(len(scores), window, changes)
-        if not own or len(at) < _enough(window):
-            out += own
+        window_changes = [change for change in changes if change.window == window]
+        quiet_frames = _quiet(len(scores), window, changes)
+        if not window_changes or len(quiet_frames) < _enough(window):
+            rescored += window_changes
             continue
-        middle, noise = _spread(_differences(scores, at, window))
-        steps = (_differences(scores, np.array([change.frame for change in own]), window) - middle) / noise
-        for change, step in zip(own, steps, strict=True):
-            out.append(replace(change, score=max(abs(float(step[change.place])), change.score)))
-    return out
+        middle, noise = _spread(_differences(scores, quiet_frames, window))
+        steps = (_differences(scores, np.array([change.frame for change in window_changes]), window) - middle) / noise
+        for change, step in zip(window_changes, steps, strict=True):
+            rescored.append(replace(change, score=max(abs(float(step[change.place])), change.score)))
+    return rescored

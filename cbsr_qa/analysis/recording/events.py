@@ -59,8 +59,8 @@ class Press:
     peak : frame of the largest change.
     end : fractional frame of the release, or the last frame.
     before, held : frames of the reference and of the hold; for a load held from the beginning the reference is later.
-    places : of its loads, several if pressed simultaneously.
-    score : of its strongest step.
+    places : places of its loads, several if pressed simultaneously.
+    score : score of its strongest step.
     slow : whether only its release was a step.
     """
 
@@ -112,7 +112,7 @@ def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loa
     Parameters
     ----------
     white : (n, m) whitened readings, see :meth:`Matcher.whiten`.
-    changes : in time order, of :func:`changes.find_changes`.
+    changes : changes from :func:`changes.find_changes`, in time order.
     no_loads : patterns not to be mistaken for loads.
     """
     no_loads = no_loads or NoLoads(np.zeros(white.shape[1]))
@@ -142,14 +142,14 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
     calm = interpolate_pulses(white, pulses)
     changes = find_changes(calm @ match.patterns)
     presses = find_presses(calm, match, changes, no_loads)
-    short = _Search(white, match, no_loads, [])
+    short_search = _Search(white, match, no_loads, [])
     for pulse in pulses:
-        short.close_short(pulse)
-    for press in short.found.presses:
+        short_search.close_short(pulse)
+    for press in short_search.found.presses:
         _add_short(press, presses)
-    presses.suspects += short.found.suspects
-    presses.gains += short.found.gains
-    presses.rejected += short.found.rejected
+    presses.suspects += short_search.found.suspects
+    presses.gains += short_search.found.gains
+    presses.rejected += short_search.found.rejected
     return presses, (*changes, *pulses)
 
 
@@ -161,18 +161,18 @@ def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
     if press.slow:
         return False
     x, y = match.places[pulse.place]
-    apart = min(np.hypot(place.x - x, place.y - y) for place in press.places)
-    return bool(apart <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
+    distance = min(np.hypot(place.x - x, place.y - y) for place in press.places)
+    return bool(distance <= SAME_PLACE and press.start + _CLOSE < pulse.frame < press.end + _CLOSE)
 
 
 def _add_short(short: Press, presses: Found) -> None:
     """Add a short press, unless it belongs to a lasting one."""
     for press in presses.presses:
-        apart = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
-        if apart > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
+        distance = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
+        if distance > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
             continue
-        kept = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
-        if kept and abs(press.start - short.start) < short.end - short.start + _CLOSE:
+        is_residue = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
+        if is_residue and abs(press.start - short.start) < short.end - short.start + _CLOSE:
             # The lasting part is what the sheet keeps of the short press.
             presses.presses.remove(press)
             break
@@ -190,21 +190,21 @@ class _Search:
 
     def close(self, group: Group) -> None:
         """Evaluate one press from its steps."""
-        before, held, start, end, along = self._slow(group) if group.slow else self._trace_step(group)
-        if places := self._loads(group.frame, before, held):
-            first = min(int(np.ceil(start)), int(end))
-            peak = first + int(np.argmax(along[first : max(int(np.ceil(end)), first + 1)]))
+        frames_before, frames_held, start, end, along = self._slow(group) if group.slow else self._trace_step(group)
+        if places := self._loads(group.frame, frames_before, frames_held):
+            first_frame = min(int(np.ceil(start)), int(end))
+            peak = first_frame + int(np.argmax(along[first_frame : max(int(np.ceil(end)), first_frame + 1)]))
             score = max(change.score for change in group.changes)
-            self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
+            self.found.presses.append(Press(start, peak, end, frames_before, frames_held, places, score, group.slow))
 
     def close_short(self, pulse: Change) -> None:
         """Evaluate a press of a few frames."""
-        before = slice(max(pulse.frame - BEFORE_FRAMES, 0), pulse.frame)
-        held = slice(pulse.frame, pulse.frame + pulse.window)
-        if places := self._loads(pulse.frame, before, held):
-            start, end = pulse.frame - 0.5, held.stop - 0.5
-            peak = pulse.frame + int(np.argmax(trace(self.white, before, held)[held]))
-            self.found.presses.append(Press(start, peak, end, before, held, places, pulse.score))
+        frames_before = slice(max(pulse.frame - BEFORE_FRAMES, 0), pulse.frame)
+        frames_held = slice(pulse.frame, pulse.frame + pulse.window)
+        if places := self._loads(pulse.frame, frames_before, frames_held):
+            start, end = pulse.frame - 0.5, frames_held.stop - 0.5
+            peak = pulse.frame + int(np.argmax(trace(self.white, frames_before, frames_held)[frames_held]))
+            self.found.presses.append(Press(start, peak, end, frames_before, frames_held, places, pulse.score))
 
     def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
         """Return the loads that explain a change, or an empty list and the reason."""
@@ -216,37 +216,41 @@ class _Search:
             self.found.suspects.append((frame, suspect))
         elif share := self._gain(change):
             self.found.gains.append((frame, share))
-        elif why := _unlike_a_load(self.white, explained, before, held):
-            self.found.rejected.append((frame, why))
+        elif reason := _unlike_a_load(self.white, explained, before, held):
+            self.found.rejected.append((frame, reason))
         else:
             return places
         return ()
 
     def _trace_step(self, group: Group) -> tuple[slice, slice, float, float, Array]:
         """Reference, hold, start, end and trace of a press that started with a step."""
-        first = group.changes[0]
+        first_change = group.changes[0]
         limits = self._limits(group)
-        before, held = rough(first, group.limit(self.groups, len(self.white)), len(self.white))
+        frames_before, frames_held = rough(first_change, group.limit(self.groups, len(self.white)), len(self.white))
         window = min(change.window for change in group.changes)
-        clear = signal_energy(self.white, before, held) > _FAINT * noise_energy(self.white, before, held)
+        is_clear = signal_energy(self.white, frames_before, frames_held) > _FAINT * noise_energy(
+            self.white, frames_before, frames_held
+        )
         for _ in range(2):
-            end, along = self._end(group, before, held, window, limits)
-            start, down = rise(along, first, int(end)) if clear else step_start(first, int(end))
-            before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
-            held = slice(down, max(min(int(end) + (end == limits[-1] - 1), limits[0]), down + 1))
-        return before, held, start, end, along
+            end, along = self._end(group, frames_before, frames_held, window, limits)
+            start, first_held = (
+                rise(along, first_change, int(end)) if is_clear else step_start(first_change, int(end))
+            )
+            frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
+            frames_held = slice(first_held, max(min(int(end) + (end == limits[-1] - 1), limits[0]), first_held + 1))
+        return frames_before, frames_held, start, end, along
 
     def _slow(self, group: Group) -> tuple[slice, slice, float, float, Array]:
         """Evaluate a press of which only the release is a step."""
         release = group.changes[0]
         until = max(release.frame - release.window // 2, 2)
-        held = slice(max(until - BEFORE_FRAMES, 1), until)
-        before = slice(0, max(min(BEFORE_FRAMES, held.start), 1))
-        along = smooth(trace(self.white, before, held), release.window)
-        start = slow_rise(along, held.start)
-        before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
-        along = smooth(trace(self.white, before, held), release.window)
-        return before, held, start, end_of(along, held.start, self._limits(group)[0]), along
+        frames_held = slice(max(until - BEFORE_FRAMES, 1), until)
+        frames_before = slice(0, max(min(BEFORE_FRAMES, frames_held.start), 1))
+        along = smooth(trace(self.white, frames_before, frames_held), release.window)
+        start = slow_rise(along, frames_held.start)
+        frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
+        along = smooth(trace(self.white, frames_before, frames_held), release.window)
+        return frames_before, frames_held, start, end_of(along, frames_held.start, self._limits(group)[0]), along
 
     def _limits(self, group: Group) -> list[int]:
         """Frames at which other events begin, up to the next press at the same place, or the end."""
@@ -301,18 +305,18 @@ def find_initial_loads(presses: Sequence[Press], n: int) -> tuple[list[Press], l
     """
     stays = [press.end >= n - 1 for press in presses]
     signs = {_sign(press) for press, to_the_end in zip(presses, stays, strict=True) if not to_the_end}
-    out: list[Press] = []
+    corrected: list[Press] = []
     unclear: list[Press] = []
     for press, to_the_end in zip(presses, stays, strict=True):
         if to_the_end and signs == {-_sign(press)}:
             places = tuple(replace(place, score=-place.score) for place in press.places)
             end = max(press.start, 0.0)
-            out.append(Press(0.0, 0, end, press.held, press.before, places, press.score))
+            corrected.append(Press(0.0, 0, end, press.held, press.before, places, press.score))
             continue
-        out.append(press)
+        corrected.append(press)
         if to_the_end and not signs:
             unclear.append(press)
-    return out, unclear
+    return corrected, unclear
 
 
 def _sign(press: Press) -> int:

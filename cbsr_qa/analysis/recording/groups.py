@@ -32,7 +32,7 @@ class Group:
 
     Parameters
     ----------
-    changes : of the press's sign, in time order; for a slow press only its release.
+    changes : changes of the press's sign, in time order; for a slow press only its release.
     sign : +1 where the place conducts more.
     releases : steps that reverse it.
     slow : whether it rose too slowly to be detected as a step.
@@ -50,9 +50,9 @@ class Group:
 
     def limit(self, others: list["Group"], n: int) -> int:
         """Last frame for the first pattern: before its release, and before another press."""
-        after = [change.frame - change.window // 2 for change in self.releases]
-        after += [other.frame - other.changes[0].window for other in others if other.frame > self.frame]
-        return max(min([*after, n]), self.frame + 1)
+        limits = [change.frame - change.window // 2 for change in self.releases]
+        limits += [other.frame - other.changes[0].window for other in others if other.frame > self.frame]
+        return max(min([*limits, n]), self.frame + 1)
 
 
 def group_changes(white: Array, match: Matcher, changes: tuple[Change, ...]) -> list[Group]:
@@ -98,8 +98,8 @@ def _add_to_group(change: Change, group: Group, white: Array, match: Matcher) ->
         group.changes.append(change)
         return True
     along = trace(white, *rough(group.changes[0], min(group.limit([], len(white)), change.frame), len(white)))
-    after = float(along[change.frame : change.frame + max(change.window, 2)].mean())
-    if after < -_CROSSED:
+    level_after = float(along[change.frame : change.frame + max(change.window, 2)].mean())
+    if level_after < -_CROSSED:
         return False
     group.releases.append(change)
     return True
@@ -107,24 +107,24 @@ def _add_to_group(change: Change, group: Group, white: Array, match: Matcher) ->
 
 def _continues(change: Change, group: Group, white: Array) -> bool:
     """Whether the trace kept its level until a further step."""
-    first = group.changes[0]
-    along = trace(white, *rough(first, min(group.limit([], len(white)), change.frame), len(white)))
+    first_change = group.changes[0]
+    along = trace(white, *rough(first_change, min(group.limit([], len(white)), change.frame), len(white)))
     until = max(change.frame - change.window // 2, group.changes[-1].frame + 1)
-    so_far = smooth(along[first.frame : until])
-    return len(so_far) == 0 or float(so_far[-1]) > (1 - _NEW_PRESS_LOSS) * float(so_far.max())
+    rise_so_far = smooth(along[first_change.frame : until])
+    return len(rise_so_far) == 0 or float(rise_so_far[-1]) > (1 - _NEW_PRESS_LOSS) * float(rise_so_far.max())
 
 
 def _sides(change: Change, n: int) -> tuple[slice, slice]:
-    before = slice(max(change.frame - change.window - max(change.window // 2, 1), 0), max(change.frame - 1, 1))
-    after = min(change.frame + max(change.window // 2, 1), n - 1)
-    return before, slice(after, min(after + change.window, n))
+    slice_before = slice(max(change.frame - change.window - max(change.window // 2, 1), 0), max(change.frame - 1, 1))
+    begin_after = min(change.frame + max(change.window // 2, 1), n - 1)
+    return slice_before, slice(begin_after, min(begin_after + change.window, n))
 
 
 def _leads_back(change: Change, white: Array, match: Matcher) -> bool:
     """Whether a step returns its place towards the initial state."""
-    before, after = _sides(change, len(white))
-    start = slice(0, max(min(BEFORE_FRAMES, before.start), 2))
-    middle = (white[before].mean(axis=0) + white[after].mean(axis=0)) / 2 - white[start].mean(axis=0)
+    slice_before, slice_after = _sides(change, len(white))
+    start = slice(0, max(min(BEFORE_FRAMES, slice_before.start), 2))
+    middle = (white[slice_before].mean(axis=0) + white[slice_after].mean(axis=0)) / 2 - white[start].mean(axis=0)
     return float(middle @ match.patterns[:, change.place]) * change.sign < 0
 
 
@@ -160,36 +160,40 @@ def find_pulses(scores: Array) -> tuple[Change, ...]:
     n = len(scores)
     candidates: list[Change] = []
     for width in _WIDTHS:
-        at = np.arange(_BESIDE, n - _BESIDE - width + 1)
-        if len(at) < 4 * _BESIDE:
+        frames = np.arange(_BESIDE, n - _BESIDE - width + 1)
+        if len(frames) < 4 * _BESIDE:
             continue
-        size, place, sign = _strongest(scores, at, width)
-        over = np.flatnonzero(size > threshold_for(len(at), _BESIDE))
-        candidates += [Change(int(at[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in over]
-    taken: list[Change] = []
+        size, place, sign = _strongest(scores, frames, width)
+        above_threshold = np.flatnonzero(size > threshold_for(len(frames), _BESIDE))
+        candidates += [
+            Change(int(frames[k]), width, int(place[k]), int(sign[k]), float(size[k])) for k in above_threshold
+        ]
+    pulses: list[Change] = []
     for pulse in sorted(candidates, key=lambda change: -change.score)[: 10 * _MOST_PULSES]:
-        if all(_frames_between(pulse, other) > _BESIDE for other in taken):
-            taken.append(pulse)
-    return tuple(sorted(taken[:_MOST_PULSES], key=lambda change: change.frame))
+        if all(_frames_between(pulse, other) > _BESIDE for other in pulses):
+            pulses.append(pulse)
+    return tuple(sorted(pulses[:_MOST_PULSES], key=lambda change: change.frame))
 
 
 def interpolate_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
     """Interpolate linearly over the frames of pulses, (n, m), for further detection."""
     bridged = white.copy()
     for pulse in pulses:
-        first, last = pulse.frame - 1, pulse.frame + pulse.window
-        share = (np.arange(first + 1, last) - first) / (last - first)
-        bridged[first + 1 : last] = (1 - share)[:, None] * white[first] + share[:, None] * white[last]
+        frame_before, frame_after = pulse.frame - 1, pulse.frame + pulse.window
+        share = (np.arange(frame_before + 1, frame_after) - frame_before) / (frame_after - frame_before)
+        bridged[frame_before + 1 : frame_after] = (1 - share)[:, None] * white[frame_before] + share[:, None] * white[
+            frame_after
+        ]
     return bridged
 
 
 def _strongest(scores: Array, at: NDArray[np.int64], width: int) -> tuple[Array, NDArray[np.int64], Array]:
     """Size, place and sign of the strongest pulse at each moment."""
     total = np.vstack([np.zeros(scores.shape[1]), np.cumsum(scores, axis=0)])
-    inside = (total[at + width] - total[at]) / width
-    before = (total[at] - total[at - _BESIDE]) / _BESIDE
-    after = (total[at + width + _BESIDE] - total[at + width]) / _BESIDE
-    rise, fall = _scale_to_noise(inside - before), _scale_to_noise(inside - after)
+    mean_inside = (total[at + width] - total[at]) / width
+    mean_before = (total[at] - total[at - _BESIDE]) / _BESIDE
+    mean_after = (total[at + width + _BESIDE] - total[at + width]) / _BESIDE
+    rise, fall = _scale_to_noise(mean_inside - mean_before), _scale_to_noise(mean_inside - mean_after)
     size = np.where(rise * fall > 0, np.minimum(np.abs(rise), np.abs(fall)), 0.0)
     place = np.argmax(size, axis=1)
     rows = np.arange(len(at))

@@ -40,7 +40,7 @@ def with_fates(events: Sequence[LoadEvent], radius_mm: float, together: Together
 
     Parameters
     ----------
-    radius_mm : of the imaged sheet.
+    radius_mm : radius of the imaged sheet [mm].
     together : images the changes of several events at once.
     """
     fates = [_fate(number, events, radius_mm, together) for number in range(len(events))]
@@ -59,21 +59,23 @@ def _place_in_image(
     event: LoadEvent, events: Sequence[LoadEvent], radius_mm: float, layout: Electrodes
 ) -> ImagedPlace | None:
     image = event.image.values.tobytes()
-    beside = [
+    events_in_image = [
         other
         for other in events
         if other is not event and other.sign == event.sign and other.image.values.tobytes() == image
     ]
     values = np.maximum(event.sign * event.image.values, 0.0)
-    regions, assigned = _assign_events(Image(event.image.mesh, values), [event, *beside], radius_mm)
-    own = assigned.region_of[0] if assigned.merged_with[0] is None else assigned.region_of[assigned.merged_with[0]]
-    if own is None:
+    regions, assigned = _assign_events(Image(event.image.mesh, values), [event, *events_in_image], radius_mm)
+    own_region = (
+        assigned.region_of[0] if assigned.merged_with[0] is None else assigned.region_of[assigned.merged_with[0]]
+    )
+    if own_region is None:
         return None
-    inside = regions[own].elements
-    x, y = (float(at) / radius_mm for at in regions[own].centre_mm())
-    largest = float(values[inside].max())
+    own_elements = regions[own_region].elements
+    x, y = (float(coordinate_mm) / radius_mm for coordinate_mm in regions[own_region].centre_mm())
+    largest = float(values[own_elements].max())
     areas = event.image.mesh.areas_mm2
-    share = float(areas[inside][values[inside] >= largest / 2].sum() / areas.sum())
+    share = float(areas[own_elements][values[own_elements] >= largest / 2].sum() / areas.sum())
     if share > _LARGEST:
         return None
     return ImagedPlace(x, y, layout.electrode_at(x, y), layout.count, event.sign * largest, share)
@@ -81,13 +83,13 @@ def _place_in_image(
 
 def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: Together) -> str:
     event = events[number]
-    beside = [k for k, other in enumerate(events) if k != number and other.start_s <= event.peak_s <= other.end_s]
-    if not beside:
+    neighbours = [k for k, other in enumerate(events) if k != number and other.start_s <= event.peak_s <= other.end_s]
+    if not neighbours:
         return ""
-    values = np.maximum(event.sign * together([number, *beside]), 0.0)
-    return _assign_events(Image(event.image.mesh, values), [event, *(events[k] for k in beside)], radius_mm)[1].fate(
-        0
-    )
+    values = np.maximum(event.sign * together([number, *neighbours]), 0.0)
+    return _assign_events(Image(event.image.mesh, values), [event, *(events[k] for k in neighbours)], radius_mm)[
+        1
+    ].fate(0)
 
 
 def _assign_events(
@@ -147,7 +149,7 @@ class Imaged:
 
     Parameters
     ----------
-    imaging : how the images were made.
+    imaging : description of how the images were made.
     remarks : notes on them for a reader.
     """
 
@@ -167,7 +169,7 @@ def image_events(
 
     Parameters
     ----------
-    sightings : of this scene, at least one.
+    sightings : sightings of this scene, at least one.
     chosen : name and options of ``reconstruction``.
     tell : receives the progress of slow images.
 
@@ -179,23 +181,29 @@ def image_events(
     sheet, offset = scene.sheet, scene.ready.offset
     images = prepare_for_events(reconstruction, chosen.name, sheet, scene.model, sightings, offset=offset)
     slow = not isinstance(images.prepared, LinearReconstruction)
-    made: list[LoadEvent] = []
-    for number, seen in enumerate(sightings, start=1):
+    imaged_events: list[LoadEvent] = []
+    for number, sighting in enumerate(sightings, start=1):
         if slow:
             tell(f"imaging event {number} of {len(sightings)} with {chosen.name}")
-        made.append(_event(scene, seen, images.image_event(seen, _name(scene, number, seen.peak_s))))
+        imaged_events.append(
+            _event(scene, sighting, images.image_event(sighting, _name(scene, number, sighting.peak_s)))
+        )
 
     def together(numbers: Sequence[int]) -> Array:
         if not images.superposes:
             tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
         return images.together([sightings[k] for k in numbers])
 
-    fated = with_fates(made, sheet.radius_mm, together)
+    fated = with_fates(imaged_events, sheet.radius_mm, together)
     events = with_imaged_places(fated, sheet.radius_mm, sheet.layout)
     imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
-    alone = images.sequences and all(len(seen.frames) == 1 for seen in sightings)
+    single_frames = images.sequences and all(len(sighting.frames) == 1 for sighting in sightings)
     unknown = bool(getattr(reconstruction, "absolute", False)) and offset
-    remarks = (*images.remarks, *_limits(chosen.name, alone=alone, unknown=unknown), *_unseen(scene, events, images))
+    remarks = (
+        *images.remarks,
+        *_limits(chosen.name, alone=single_frames, unknown=unknown),
+        *_unseen(scene, events, images),
+    )
     return Imaged(events, imaging, remarks)
 
 

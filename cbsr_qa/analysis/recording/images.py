@@ -22,7 +22,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.system.copies import come_back_once
 
-#: Receives each step, in words.
+#: Function that receives each step, in words.
 Tell = Callable[[str], None]
 
 _REMEDY: Final = "use other options or another reconstruction; the default is gauss-newton-noser"
@@ -35,13 +35,13 @@ class Sighting:
 
     Parameters
     ----------
-    start_s, peak_s, end_s : on the recording's clock [s].
+    start_s, peak_s, end_s : start, peak and end on the recording's clock [s].
     score : detection statistic over its noise.
-    change : (m,) of the used readings, scaled to the unit model.
+    change : (m,) changes of the used readings, scaled to the unit model.
     frames : (k, m) changes of consecutive frames around it, scaled alike; ``held`` marks those that show it.
     unloaded : (m,) used readings it is compared with, in the recording's unit.
-    goodness : of the fit of this load and others that changed with it.
-    track : (time_s, x, y) of an object that moves.
+    goodness : goodness of the fit of this load and of others that changed with it.
+    track : times and places (time_s, x, y) of an object that moves.
     """
 
     start_s: float
@@ -94,7 +94,7 @@ class EventImages:
 
     Parameters
     ----------
-    name : of the reconstruction, for messages.
+    name : name of the reconstruction, for messages.
     gain : (m,) from the unit model's changes to those that the method was prepared for.
     sequences : whether it receives the frames around an event.
     remarks : notes on its preparation for a reader.
@@ -109,21 +109,21 @@ class EventImages:
 
     def image_event(self, sighting: Sighting, name: str = "an event") -> Array:
         """Image (e,) of an event's change; messages name the event ``name``."""
-        where = f"{self.name} cannot image {name}"
+        problem = f"{self.name} cannot image {name}"
         if self.sequences:
-            image: Array = self._images(where, sighting.frames)[sighting.held].mean(axis=0)
+            image: Array = self._images(problem, sighting.frames)[sighting.held].mean(axis=0)
         else:
-            image = self._images(where, sighting.change[None])[0]
+            image = self._images(problem, sighting.change[None])[0]
         return image
 
     def together(self, sightings: Sequence[Sighting]) -> Array:
         """Image (e,) of the changes of several events, each counted once."""
-        changes = {seen.change.tobytes(): seen for seen in sightings}.values()
+        changes = {sighting.change.tobytes(): sighting for sighting in sightings}.values()
         if self.superposes:
-            total: Array = np.sum([self.image_event(seen) for seen in changes], axis=0)
+            total: Array = np.sum([self.image_event(sighting) for sighting in changes], axis=0)
             return total
-        where = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
-        image: Array = self._images(where, np.sum([seen.change for seen in changes], axis=0)[None])[0]
+        problem = f"{self.name} cannot image the {len(changes)} changes up to {sightings[0].peak_s:.1f} s together"
+        image: Array = self._images(problem, np.sum([sighting.change for sighting in changes], axis=0)[None])[0]
         return image
 
     @property
@@ -132,12 +132,12 @@ class EventImages:
         return isinstance(self.prepared, LinearReconstruction) or bool(getattr(self.prepared, "linear", False))
 
     def _images(self, where: str, changes: Array) -> Array:
-        known = changes.tobytes()
-        if known not in self._made:
+        key = changes.tobytes()
+        if key not in self._made:
             with _convert_errors(where):
                 images = self.prepared.images(changes * self.gain)
-                self._made[known] = _check_images(images, (len(changes), len(self.prepared.problem.mesh.elements)))
-        return self._made[known]
+                self._made[key] = _check_images(images, (len(changes), len(self.prepared.problem.mesh.elements)))
+        return self._made[key]
 
 
 def prepare_for_events(
@@ -153,7 +153,7 @@ def prepare_for_events(
 
     Parameters
     ----------
-    sightings : at least one; the clearest come first in the sample used by criteria.
+    sightings : sightings, at least one; the clearest come first in the sample used by criteria.
     offset : whether the readings include an unknown offset, so that the unloaded readings are unknown.
 
     Raises

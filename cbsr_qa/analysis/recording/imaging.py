@@ -31,9 +31,9 @@ _BUMP = 0.11
 #: Places further out (nearer to the edge of another sheet than the rest of the radius) are too close to electrodes:
 #: contact changes there look like loads.
 _OUTERMOST = 0.9
-#: The reference frame must follow the model this well (correlation) before counts are imaged.
+#: Least correlation of the reference frame with the model for counts to be imaged.
 _LEAST_CORRELATION = 0.5
-#: One scale for all channels suffices if the reference follows the model this closely (cosine).
+#: Cosine between reference and model from which one scale suffices for all channels.
 _CLOSE_COSINE = 0.9
 
 
@@ -107,12 +107,12 @@ def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
 
 def _thin_places(places: Array, candidates: NDArray[np.int64]) -> NDArray[np.int64]:
     """Thin out places to half a bump's distance; closer ones add nothing."""
-    kept: list[int] = []
+    kept_candidates: list[int] = []
     for candidate in candidates[np.argsort(np.hypot(*places[candidates].T), kind="stable")]:
-        apart = np.hypot(*(places[kept] - places[candidate]).T)
-        if not kept or apart.min() >= _BUMP / 2:
-            kept.append(int(candidate))
-    return np.array(kept, dtype=np.int64)
+        distances = np.hypot(*(places[kept_candidates] - places[candidate]).T)
+        if not kept_candidates or distances.min() >= _BUMP / 2:
+            kept_candidates.append(int(candidate))
+    return np.array(kept_candidates, dtype=np.int64)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

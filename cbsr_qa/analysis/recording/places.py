@@ -30,7 +30,7 @@ _TAKEN_OUT, _TAKEN_PATTERNS = 0.2, 6
 #: It must then stand out of the noise by this (noise alone reaches it at one of all places once in 10 000 changes)
 #: and of what the model leaves of the strong ones, as shares of energy …
 _WEAK_GAIN, _MODEL_LEAVES = 30.0, 3e-3
-#: … and explain this share of what is left above noise: a sheet that is not as modelled leaves what is like no load.
+#: … and explain this share of what is left above noise: a sheet unlike the model leaves changes unlike any load.
 _WEAK_EXPLAINED = 0.7
 _ROBUST_ROUNDS = 8
 _HUBER = 1.5
@@ -43,8 +43,8 @@ class Place:
 
     Parameters
     ----------
-    x, y : in units of the radius.
-    index : of the nearest candidate place.
+    x, y : place in units of the radius.
+    index : index of the nearest candidate place.
     score : product of the unit pattern with the change; signed, + where the place conducts more.
     """
 
@@ -60,7 +60,7 @@ class Matcher:
 
     Parameters
     ----------
-    places : (p, 2) in units of the radius.
+    places : (p, 2) candidate places in units of the radius.
     sigma : (m,) noise of the readings.
     nuisance : (m,) unit vector, whitened.
     patterns : (m, p) float64, unit columns.
@@ -82,7 +82,7 @@ def matcher(patterns: Array, places: Array, sigma: Array, nuisance: Array) -> Ma
 
     Parameters
     ----------
-    patterns : (m, p) of unit changes. sigma : (m,). nuisance : (m,), any length, unwhitened.
+    patterns : (m, p) unit changes. sigma : (m,) noise. nuisance : (m,) vector of any length, unwhitened.
     """
     hidden = nuisance / sigma
     hidden = hidden / np.linalg.norm(hidden)
@@ -100,7 +100,7 @@ def find_places(
     ----------
     change : (m,) whitened.
     noise : variance of each reading of the change.
-    most : how many loads to look for.
+    most : largest number of loads to look for.
 
     Returns
     -------
@@ -109,20 +109,20 @@ def find_places(
     total = float(change @ change)
     if total == 0:
         return (), 0.0
-    chosen = [_best(change, match, 0, ())]
-    explained = _fit_power(change, match, chosen)
-    while len(chosen) < most:
-        further = _best(_fit_residual(change, match, chosen), match, 0, tuple(chosen))
-        moved = _optimise_places(change, match, [*chosen, further], 0)
-        gain = _fit_power(change, match, moved) - explained
+    place_indices = [_best(change, match, 0, ())]
+    explained = _fit_power(change, match, place_indices)
+    while len(place_indices) < most:
+        further = _best(_fit_residual(change, match, place_indices), match, 0, tuple(place_indices))
+        refined_indices = _optimise_places(change, match, [*place_indices, further], 0)
+        gain = _fit_power(change, match, refined_indices) - explained
         needed = max(_FURTHER_SHARE * total, _FURTHER_OF_FIRST * explained)
-        if _nearest(match, moved) > _FAR:
+        if _nearest(match, refined_indices) > _FAR:
             needed = _FAR_SHARE * total
-        if gain < needed or _nearest(match, moved) < _SEPARATE:
+        if gain < needed or _nearest(match, refined_indices) < _SEPARATE:
             break
-        chosen, explained = moved, explained + gain
-    places = _all_refined(change, match, chosen)
-    # Beside one load alone, what drift and the sheet's own shape leave would be taken for another.
+        place_indices, explained = refined_indices, explained + gain
+    places = _all_refined(change, match, place_indices)
+    # With a single load, the remains of drift and of the sheet's own shape would be taken for another load.
     while 1 < len(places) < most and (weak := _weak(change, match, places, noise)):
         places.append(weak)
     explained = _fit_power(change, match, [place.index for place in places])
@@ -131,22 +131,24 @@ def find_places(
 
 def _weak(change: Array, match: Matcher, places: list[Place], noise: float) -> Place | None:
     """Look again for a load of the same sign when stronger ones are taken out; None where none stands out."""
-    chosen = [place.index for place in places]
+    strong_indices = [place.index for place in places]
     sign = np.sign(max(places, key=lambda place: abs(place.score)).score)
-    basis = np.linalg.qr(np.hstack([_surroundings(match, index) for index in chosen]))[0]
-    left = change - basis @ (basis.T @ change)
+    basis = np.linalg.qr(np.hstack([_surroundings(match, index) for index in strong_indices]))[0]
+    residual = change - basis @ (basis.T @ change)
     patterns = match.patterns - basis @ (basis.T @ match.patterns)
-    own = np.linalg.norm(patterns, axis=0)
-    apart = np.hypot(*(match.places[:, None] - match.places[chosen]).T).min(axis=0)
-    beside = Matcher(match.places, match.sigma, match.nuisance, patterns / np.maximum(own, _HIDDEN))
-    gain = np.where((apart >= _SEPARATE) & (own > _HIDDEN), np.maximum(sign * left @ beside.patterns, 0.0) ** 2, 0.0)
-    best = int(np.argmax(gain))
-    above = float(left @ left) - noise * (len(left) - basis.shape[1])
-    needed = max(_WEAK_GAIN * noise + _MODEL_LEAVES * float(change @ change), _WEAK_EXPLAINED * above)
-    if gain[best] < needed:
+    norms = np.linalg.norm(patterns, axis=0)
+    distances = np.hypot(*(match.places[:, None] - match.places[strong_indices]).T).min(axis=0)
+    weak_match = Matcher(match.places, match.sigma, match.nuisance, patterns / np.maximum(norms, _HIDDEN))
+    gain = np.where(
+        (distances >= _SEPARATE) & (norms > _HIDDEN), np.maximum(sign * residual @ weak_match.patterns, 0.0) ** 2, 0.0
+    )
+    best_index = int(np.argmax(gain))
+    energy_above_noise = float(residual @ residual) - noise * (len(residual) - basis.shape[1])
+    needed = max(_WEAK_GAIN * noise + _MODEL_LEAVES * float(change @ change), _WEAK_EXPLAINED * energy_above_noise)
+    if gain[best_index] < needed:
         return None
-    place = _refine_place(left, beside, best)
-    return replace(place, score=place.score / float(own[best]))
+    place = _refine_place(residual, weak_match, best_index)
+    return replace(place, score=place.score / float(norms[best_index]))
 
 
 def _surroundings(match: Matcher, index: int) -> Array:
@@ -170,23 +172,23 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
     ----------
     places : found from each channel's change relative to its own reference value, which weights far readings
         correctly for the distance, but also their faults.
-    change : (m,) in one scale for all channels, unwhitened. match : prepared for it with equal noise.
+    change : (m,) change in one scale for all channels, unwhitened. match : matcher prepared for it with equal noise.
     """
     sigma = np.ones_like(change)
-    chosen = [place.index for place in places]
+    place_indices = [place.index for place in places]
     signs = {place.index: place.score for place in places}
     sign = int(np.sign(places[0].score)) if len({s > 0 for s in signs.values()}) == 1 else 0
-    fitted = match
+    reweighted = match
     for _ in range(_ROBUST_ROUNDS):
-        white = fitted.whiten(change[None])[0]
-        chosen = _optimise_places(white, fitted, chosen, sign)
-        left = np.abs(_fit_residual(white, fitted, chosen) * sigma)
-        spread = max(MAD_TO_SIGMA * float(np.median(left)), 1e-300)
-        sigma = np.sqrt(np.maximum(left / (_HUBER * spread), 1.0))
-        fitted = matcher(match.patterns, match.places, sigma, match.nuisance)
-    white = fitted.whiten(change[None])[0]
-    seen = _all_refined(white, fitted, chosen)
-    return tuple(_correct_direction(place, seen) for place in places)
+        white_change = reweighted.whiten(change[None])[0]
+        place_indices = _optimise_places(white_change, reweighted, place_indices, sign)
+        residual = np.abs(_fit_residual(white_change, reweighted, place_indices) * sigma)
+        spread = max(MAD_TO_SIGMA * float(np.median(residual)), 1e-300)
+        sigma = np.sqrt(np.maximum(residual / (_HUBER * spread), 1.0))
+        reweighted = matcher(match.patterns, match.places, sigma, match.nuisance)
+    white_change = reweighted.whiten(change[None])[0]
+    refined = _all_refined(white_change, reweighted, place_indices)
+    return tuple(_correct_direction(place, refined) for place in places)
 
 
 def _correct_direction(place: Place, seen: list[Place]) -> Place:
@@ -202,8 +204,8 @@ def _correct_direction(place: Place, seen: list[Place]) -> Place:
 def _best(change: Array, match: Matcher, sign: int, besides: tuple[int, ...]) -> int:
     scores = change @ match.patterns
     scores = np.abs(scores) if sign == 0 else sign * scores
-    for taken in besides:
-        near = np.hypot(*(match.places - match.places[taken]).T) < _SEPARATE
+    for taken_index in besides:
+        near = np.hypot(*(match.places - match.places[taken_index]).T) < _SEPARATE
         scores = np.where(near, -np.inf, scores)
     return int(np.argmax(scores))
 
@@ -217,25 +219,25 @@ def _fit_residual(change: Array, match: Matcher, chosen: list[int]) -> Array:
 
 
 def _fit_power(change: Array, match: Matcher, chosen: list[int]) -> float:
-    left = _fit_residual(change, match, chosen)
-    return float(change @ change - left @ left)
+    residual = _fit_residual(change, match, chosen)
+    return float(change @ change - residual @ residual)
 
 
 def _optimise_places(change: Array, match: Matcher, chosen: list[int], sign: int) -> list[int]:
     for _ in range(_SWEEPS):
-        before = list(chosen)
+        previous = list(chosen)
         for k in range(len(chosen)):
-            others = chosen[:k] + chosen[k + 1 :]
-            chosen[k] = _best(_fit_residual(change, match, others), match, sign, tuple(others))
-        if chosen == before:
+            other_indices = chosen[:k] + chosen[k + 1 :]
+            chosen[k] = _best(_fit_residual(change, match, other_indices), match, sign, tuple(other_indices))
+        if chosen == previous:
             break
     return chosen
 
 
 def _nearest(match: Matcher, chosen: list[int]) -> float:
     places = match.places[chosen]
-    apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
-    return float(apart.min())
+    distances = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1)) + 9 * np.eye(len(chosen))
+    return float(distances.min())
 
 
 def _all_refined(change: Array, match: Matcher, chosen: list[int]) -> list[Place]:
@@ -254,16 +256,16 @@ def _refine_place(left: Array, match: Matcher, best: int) -> Place:
     scores = left @ match.patterns
     centre = match.places[best]
     offset = match.places - centre
-    near = np.hypot(*offset.T) <= _NEIGHBOURHOOD
-    x, y = offset[near].T
-    moved = np.zeros(2)
-    if near.sum() >= 8:
+    near_mask = np.hypot(*offset.T) <= _NEIGHBOURHOOD
+    x, y = offset[near_mask].T
+    shift = np.zeros(2)
+    if near_mask.sum() >= 8:
         design = np.column_stack([np.ones_like(x), x, y, x * x, x * y, y * y])
-        _, b, c, d, e, f = np.linalg.lstsq(design, np.abs(scores[near]), rcond=None)[0]
+        _, b, c, d, e, f = np.linalg.lstsq(design, np.abs(scores[near_mask]), rcond=None)[0]
         hessian = np.array([[2 * d, e], [e, 2 * f]])
         if np.all(np.linalg.eigvalsh(hessian) < 0):
-            moved = np.linalg.solve(hessian, [-b, -c])
-    if np.hypot(*moved) > _NEIGHBOURHOOD:
-        moved = np.zeros(2)
-    place = centre + moved
+            shift = np.linalg.solve(hessian, [-b, -c])
+    if np.hypot(*shift) > _NEIGHBOURHOOD:
+        shift = np.zeros(2)
+    place = centre + shift
     return Place(float(place[0]), float(place[1]), best, float(scores[best]))

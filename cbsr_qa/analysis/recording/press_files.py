@@ -27,7 +27,7 @@ class PressFiles:
     ----------
     readings : table, or a recording with one frame per press.
     sensor_type : name or file.
-    pattern : of the tables' columns; None if the readings are a recording.
+    pattern : pattern of the tables' columns; None if the readings are a recording.
     differences : whether the readings are changes.
     rest : frames of the unloaded sheet, in the form of the readings.
     """
@@ -50,17 +50,19 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
         :func:`~cbsr_qa.calibration.presses.inputs.read_press_readings`.
     """
     if files.differences == (files.rest is not None):
-        found = "both --differences and --rest are" if files.differences else "neither --differences nor --rest is"
+        given_options = (
+            "both --differences and --rest are" if files.differences else "neither --differences nor --rest is"
+        )
         raise RefusedError(
-            f"{found} given",
+            f"{given_options} given",
             remedy="give --differences if the readings are changes, or --rest FILE with frames of the unloaded sheet",
         )
-    loaded, sized = load_pressed_type(files.sensor_type)
+    loaded_type, sized = load_pressed_type(files.sensor_type)
     presses = read_presses(files.presses)
-    labelled = LabelledPresses(loaded.value, sized, _readings(files, loaded.value), presses)
-    named = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
-    named |= {"rest": files.rest, "sensor type": loaded.document.path}
-    return labelled, tuple(source_file(role, path) for role, path in named.items() if path is not None)
+    labelled = LabelledPresses(loaded_type.value, sized, _readings(files, loaded_type.value), presses)
+    named_paths = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
+    named_paths |= {"rest": files.rest, "sensor type": loaded_type.document.path}
+    return labelled, tuple(source_file(role, path) for role, path in named_paths.items() if path is not None)
 
 
 def read_pressed_recording(path: Path, format_: str | None = None, dataset: str | None = None) -> Recording:
@@ -80,7 +82,7 @@ def read_pressed_recording(path: Path, format_: str | None = None, dataset: str 
 def read_whole_frames(path: Path, pattern: DrivePattern) -> FrameBlock:
     """Read frames of presses, or of the unloaded sheet, whose usable readings must all be there.
 
-    RecordingError if the recording cannot be read, has another pattern, or a reading is missing or saturated.
+    Raise RecordingError if the recording cannot be read, has another pattern, or a reading is missing or saturated.
     """
     recording = read_pressed_recording(path)
     check_pressed_recording(recording, pattern)
@@ -109,6 +111,8 @@ def _readings(files: PressFiles, sensor_type: SensorType) -> PressReadings:
     frames = read_whole_frames(files.readings, pattern).voltages[:, pattern.usable()]
     if files.rest is None:
         return PressReadings(files.readings, distinct, frames)
-    rest = read_whole_frames(files.rest, pattern).voltages[:, pattern.usable()]
-    noise = rest.std(axis=0, ddof=1) if len(rest) > 1 else None
-    return PressReadings(files.readings, distinct, frames - rest.mean(axis=0), rest.mean(axis=0), noise)
+    rest_readings = read_whole_frames(files.rest, pattern).voltages[:, pattern.usable()]
+    noise = rest_readings.std(axis=0, ddof=1) if len(rest_readings) > 1 else None
+    return PressReadings(
+        files.readings, distinct, frames - rest_readings.mean(axis=0), rest_readings.mean(axis=0), noise
+    )

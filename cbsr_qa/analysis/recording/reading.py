@@ -16,7 +16,7 @@ from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 from cbsr_qa.system.untrusted import read_untrusted
 
 _HEAD_BYTES = 4096
-#: What to do with a file of another layout.
+#: Remedy for a file of another layout.
 _OWN: Final = "or read the file in Python, and give its frames to cbsr_qa.analyse as an array"
 
 _Read = TypeVar("_Read")
@@ -56,20 +56,20 @@ def find_format(path: Path, format_name: str | None, plugins: Plugins) -> tuple[
     head = _head(path)
     if format_name is not None:
         return create_plugin(plugins, Kind.RECORDING, PluginChoice(format_name), "--format"), format_name
-    failed: list[str] = []
+    failures: list[str] = []
     for name in plugins.list_names(Kind.RECORDING):
         try:
             format_: RecordingFormat = plugins.factory(Kind.RECORDING, name)()
             if format_.recognises(path, head):
                 return format_, name
         except PluginError as error:
-            failed.append(error.reason)
+            failures.append(error.reason)
         except Exception as error:  # noqa: BLE001 - a plugin's code may raise anything
-            failed.append(f"{name}: {type(error).__name__}: {error}")
-    known = ", ".join(plugins.names(Kind.RECORDING))
+            failures.append(f"{name}: {type(error).__name__}: {error}")
+    known_formats = ", ".join(plugins.names(Kind.RECORDING))
     raise RecordingError(
         f"{path.name} has no known format",
-        remedy="; ".join([f"formats: {known}; name one with --format", _OWN, *failed]),
+        remedy="; ".join([f"formats: {known_formats}; name one with --format", _OWN, *failures]),
     )
 
 

@@ -36,7 +36,7 @@ class ReadyReadings:
     ----------
     block : frames, sudden offsets taken out, carry-over too where ``corrected``, spikes replaced.
     reference : (drives, measures) mean of the reference frames, treated alike; None without any.
-    faults : of the raw frames.
+    faults : faults of the raw frames.
     used : (drives, measures) bool, sound readings that touch no driven electrode.
     carry_over : estimate, or None.
     corrected : whether it was removed from ``block``.
@@ -44,7 +44,7 @@ class ReadyReadings:
     offset : whether the readings include an unknown offset, see :func:`has_offset`.
     offsets : frame and size of every sudden offset of all readings.
     dead_drives, open_electrodes : left out.
-    spikes, spiky_frames : how many readings of how many frames were replaced, see :func:`remove_spikes`.
+    spikes, spiky_frames : number of readings that were replaced, and of their frames, see :func:`remove_spikes`.
     """
 
     block: FrameBlock
@@ -65,9 +65,11 @@ class ReadyReadings:
         """Describe corrections of readings, and channels that failed during the recording."""
         remarks = offset_words(self.offsets, self.block.time_s, self.block.unit.value)
         if self.open_electrodes:
-            named = ", ".join(map(str, self.open_electrodes))
+            electrode_names = ", ".join(map(str, self.open_electrodes))
             kind = "electrodes" if len(self.open_electrodes) > 1 else "electrode"
-            remarks.append(f"no contact, nothing comes through: {kind} {named}; these readings were left out")
+            remarks.append(
+                f"no contact, nothing comes through: {kind} {electrode_names}; these readings were left out"
+            )
         remarks += [dead.words(self.block.unit.value) for dead in self.dead_drives]
         if self.spikes:
             remarks.append(
@@ -91,9 +93,9 @@ class ReadyReadings:
 
 
 def _list_channels(channels: Mask) -> str:
-    more = int(channels.sum()) - _MOST_LISTED
+    unlisted_count = int(channels.sum()) - _MOST_LISTED
     return ", ".join(f"[{i}, {j}]" for i, j in np.argwhere(channels)[:_MOST_LISTED]) + (
-        f" and {more} more" if more > 0 else ""
+        f" and {unlisted_count} more" if unlisted_count > 0 else ""
     )
 
 
@@ -117,55 +119,59 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     Parameters
     ----------
     wanted : whether to correct carry-over; None to correct it if that improves the readings.
-    pattern : of the named sensor type; None if the same adjacent pairs are driven and measured. Otherwise no readings
-        are reciprocal, and checks of reciprocity are skipped.
+    pattern : pattern of the named sensor type; None if the same adjacent pairs are driven and measured. Otherwise no
+        readings are reciprocal, and checks of reciprocity are skipped.
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)
-    used = _usable(recording, pattern) & ~faults.bad
+    used_mask = _usable(recording, pattern) & ~faults.bad
     opened: tuple[int, ...] = ()
-    if recording.scan is ScanKind.FULL and used.any():
-        full = pattern or adjacent_pattern(used.shape[0])
-        opened = _find_open_electrodes(block.voltages, used, full)
-        used &= ~full.touching(opened)
+    if recording.scan is ScanKind.FULL and used_mask.any():
+        full_pattern = pattern or adjacent_pattern(used_mask.shape[0])
+        opened = _find_open_electrodes(block.voltages, used_mask, full_pattern)
+        used_mask &= ~full_pattern.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
-    scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
-    scanned &= bool(used.any())
-    mending = scanned and recording.reference is None
+    is_scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
+    is_scanned &= bool(used_mask.any())
+    is_mended = is_scanned and recording.reference is None
     offset = has_offset(recording)
     voltages, offsets = block.voltages, tuple[tuple[int, float], ...]()
-    if mending and len(block) > 1:
-        offsets = find_offsets(voltages[:, used], channel_noise(voltages[:, used], counts=offset))
+    if is_mended and len(block) > 1:
+        offsets = find_offsets(voltages[:, used_mask], channel_noise(voltages[:, used_mask], counts=offset))
         voltages = subtract_offsets(voltages, offsets)
-    if scanned:
+    if is_scanned:
         # One absurd reading must not decide the correction of the whole frame.
-        calm = remove_spikes(voltages, used, counts=offset)[0] if mending else voltages
-        carry_over = estimate_carry_over(replace(block, voltages=calm), used)
-    apply = (
+        calm = remove_spikes(voltages, used_mask, counts=offset)[0] if is_mended else voltages
+        carry_over = estimate_carry_over(replace(block, voltages=calm), used_mask)
+    correct_memory = (
         carry_over is not None
         and (carry_over.worth_correcting if wanted is None else wanted)
         and carry_over.share < 1
     )
     reference = None if recording.reference is None else recording.reference.voltages
-    if apply and carry_over is not None:
+    if correct_memory and carry_over is not None:
         order = scan_order(block)
         voltages = correct_carry_over(voltages, carry_over.share, order)
         reference = None if reference is None else correct_carry_over(reference, carry_over.share, order)
     spikes = np.zeros(voltages.shape, dtype=bool)
-    if mending:
-        voltages, spikes = remove_spikes(voltages, used, counts=offset)
-    dead_drives = find_dead_drives(np.median(voltages, axis=0), used) if scanned else ()
-    used[[dead.drive for dead in dead_drives]] = False
+    if is_mended:
+        voltages, spikes = remove_spikes(voltages, used_mask, counts=offset)
+    dead_drives = find_dead_drives(np.median(voltages, axis=0), used_mask) if is_scanned else ()
+    used_mask[[dead.drive for dead in dead_drives]] = False
     mean = voltages.mean(axis=0)
-    error = reciprocity_error(mean, used, offset_of(mean, used, counts=offset)) if imaged and used.any() else None
+    error = (
+        reciprocity_error(mean, used_mask, offset_of(mean, used_mask, counts=offset))
+        if imaged and used_mask.any()
+        else None
+    )
     return ReadyReadings(
         replace(block, voltages=voltages),
         None if reference is None else reference.mean(axis=0),
         faults,
-        used,
+        used_mask,
         carry_over,
-        bool(apply),
+        bool(correct_memory),
         error,
         offset,
         offsets,
@@ -178,12 +184,12 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
 
 def _find_open_electrodes(voltages: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:
     """Electrodes without contact for most of the recording, or in a part of it if those are several."""
-    found = open_electrodes(np.median(voltages, axis=0), used, pattern)
+    most_electrodes = open_electrodes(np.median(voltages, axis=0), used, pattern)
     for part in np.array_split(voltages, _PARTS) if len(voltages) >= _PARTS * _PART_FRAMES else ():
-        several = open_electrodes(np.median(part, axis=0), used, pattern)
-        if len(several) > max(1, len(found)):
-            found = several
-    return found
+        part_electrodes = open_electrodes(np.median(part, axis=0), used, pattern)
+        if len(part_electrodes) > max(1, len(most_electrodes)):
+            most_electrodes = part_electrodes
+    return most_electrodes
 
 
 def channel_report(ready: ReadyReadings) -> ChannelReport:

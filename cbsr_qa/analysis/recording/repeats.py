@@ -14,7 +14,7 @@ def average_repeats(recording: Recording, sensor_type: SensorType) -> tuple[Reco
     """Average repeated readings, frame by frame; the same objects where no pair repeats or the frames do not fit.
 
     Noise falls as the root of the number of sound readings: those flagged as unusable are not averaged. The readings'
-    own times, which say nothing of a mean, are left out.
+    own times are left out, as a mean has none.
     """
     pattern = sensor_type.pattern
     drive, measure = _number_pairs(pattern.drive), _number_pairs(pattern.measure)
@@ -41,11 +41,11 @@ def _average_readings(block: FrameBlock, cell: Indices, pattern: DrivePattern) -
     """Mean over readings of one cell, (m,) numbers of cells of the pattern."""
     voltages, flags = block.voltages.reshape(len(block), -1), block.flags.reshape(len(block), -1)
     shape = (len(block), *pattern.shape)
-    mean, flagged = np.empty(shape).reshape(len(block), -1), np.empty(shape, np.uint8).reshape(len(block), -1)
+    mean, joined_flags = np.empty(shape).reshape(len(block), -1), np.empty(shape, np.uint8).reshape(len(block), -1)
     for number in range(mean.shape[1]):
         of_cell = cell == number
-        sound = (flags[:, of_cell] & UNUSABLE) == 0
-        sound |= ~sound.any(axis=1, keepdims=True)
-        mean[:, number] = (voltages[:, of_cell] * sound).sum(axis=1) / sound.sum(axis=1)
-        flagged[:, number] = np.bitwise_or.reduce(np.where(sound, flags[:, of_cell], 0), axis=1)
-    return replace(block, voltages=mean.reshape(shape), flags=flagged.reshape(shape), reading_time_s=None)
+        sound_mask = (flags[:, of_cell] & UNUSABLE) == 0
+        sound_mask |= ~sound_mask.any(axis=1, keepdims=True)
+        mean[:, number] = (voltages[:, of_cell] * sound_mask).sum(axis=1) / sound_mask.sum(axis=1)
+        joined_flags[:, number] = np.bitwise_or.reduce(np.where(sound_mask, flags[:, of_cell], 0), axis=1)
+    return replace(block, voltages=mean.reshape(shape), flags=joined_flags.reshape(shape), reading_time_s=None)

@@ -39,10 +39,10 @@ class Searched:
 
     Parameters
     ----------
-    scene : in which they were found, without the readings of suspect contacts; None if nothing was searched.
+    scene : scene in which they were found, without the readings of suspect contacts; None if nothing was searched.
     why : why there is no event, or which changes were not events.
     remarks : notes on the recording for a reader.
-    suspect_electrodes : whose readings were left out.
+    suspect_electrodes : electrodes whose readings were left out.
     """
 
     sightings: tuple[Sighting, ...]
@@ -84,30 +84,30 @@ class RecordedScene:
         ----------
         named : whether a user named the sensor type.
         """
-        block, used = ready.block, ready.used
+        block, used_mask = ready.block, ready.used
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
-        modelled = sheet_for(sensor_type, used).problem.reference
-        side = None if recording.magnitudes_only else answering_levels(frame[used], modelled)
+        modelled = sheet_for(sensor_type, used_mask).problem.reference
+        side = None if recording.magnitudes_only else answering_levels(frame[used_mask], modelled)
         if side is not None and side.words:
-            used = used.copy()
-            used[used] = side.answers
+            used_mask = used_mask.copy()
+            used_mask[used_mask] = side.answers
         if not ready.offset:
             noise = None
             if ready.reference is None:
-                flat = block.voltages.reshape(len(block), -1)
-                noise = channel_noise(flat, counts=False).reshape(frame.shape)
-            used = usable_volts(frame, used, noise)
-        sheet = sheet_for(sensor_type, used)
-        model = unit_model(frame[used], sheet.problem, offset=ready.offset)
+                readings_by_frame = block.voltages.reshape(len(block), -1)
+                noise = channel_noise(readings_by_frame, counts=False).reshape(frame.shape)
+            used_mask = usable_volts(frame, used_mask, noise)
+        sheet = sheet_for(sensor_type, used_mask)
+        model = unit_model(frame[used_mask], sheet.problem, offset=ready.offset)
         remarks = (f"{side.words}; they were left out",) if side is not None and side.words else ()
-        return cls(recording, ready, sheet, model, block.voltages[:, used], named, remarks)
+        return cls(recording, ready, sheet, model, block.voltages[:, used_mask], named, remarks)
 
     def drop_readings(self, readings: NDArray[np.bool_]) -> Self:
         """Return the scene without some readings, (m,) bool."""
         keep = ~readings
-        used = self.sheet.problem.used.copy()
-        used[used] = keep
-        sheet = sheet_for(self.sheet.problem.sensor_type, used)
+        used_mask = self.sheet.problem.used.copy()
+        used_mask[used_mask] = keep
+        sheet = sheet_for(self.sheet.problem.sensor_type, used_mask)
         model = UnitModel(self.model.reference[keep], self.model.gain[keep], self.model.nuisance[keep])
         return replace(self, sheet=sheet, model=model, readings=self.readings[:, keep])
 
@@ -118,13 +118,15 @@ class RecordedScene:
         if sigma == 0:
             return Searched((), "the frames equal the reference: nothing has changed")
         if len(changes) > 1:
-            objects, why = find_moving(*self._match_changes(self.sheet, changes, sigma))
+            objects, reason = find_moving(*self._match_changes(self.sheet, changes, sigma))
             remarks: tuple[str, ...] = ()
         else:
-            objects, why, remarks = self._still(changes, sigma)
+            objects, reason, remarks = self._still(changes, sigma)
             objects = self._correct_directions(objects)
-        sightings = tuple(self._object_seen(seen, changes, timed=rate_hz is not None) for seen in objects)
-        return Searched(sightings, why, (*self.remarks, *remarks), scene=self)
+        sightings = tuple(
+            self._object_seen(moving_object, changes, timed=rate_hz is not None) for moving_object in objects
+        )
+        return Searched(sightings, reason, (*self.remarks, *remarks), scene=self)
 
     def _match_changes(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
         match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
@@ -133,25 +135,25 @@ class RecordedScene:
     def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
         """Search a still image; in a tank, with the patterns of balls as large as those found."""
         white, match = self._match_changes(self.sheet, changes, sigma)
-        objects, why = find_still(white[0], match)
+        objects, reason = find_still(white[0], match)
         tank = None
         if objects and not self.named and not self.ready.offset:
             tank = fit_tank(self.model.reference, self.sheet.problem)
         if tank is None:
-            return objects, why, ()
+            return objects, reason, ()
         ball, conducts, on_sheet = _FIRST_BALL, objects[0].place.score > 0, objects
         for _ in range(_BALL_ROUNDS):
             sheet = tank.sheet(self.sheet, ball=ball, conducts=conducts)
             white, match = self._match_changes(sheet, changes, sigma)
             objects, _ = find_still(white[0], match)
             if not objects:
-                return on_sheet, why, ()
+                return on_sheet, reason, ()
             ball, conducts = tank.ball_of(objects, sheet, changes[0])
         remark = (
             f"the reference frame decays like that of a tank {tank.depth:.2f} radii deep, not like a sheet's:"
             f" places are those of balls in it, of {ball:.2f} radii or more"
         )
-        return objects, why, (remark,)
+        return objects, reason, (remark,)
 
     def _correct_directions(self, objects: tuple[Object, ...]) -> tuple[Object, ...]:
         """Take the directions of still objects from a robust fit in one scale, where the tank follows the model."""
@@ -159,9 +161,12 @@ class RecordedScene:
         if plain is None:
             return objects
         match = matcher(self.sheet.patterns, self.sheet.places, np.ones(len(plain.gain)), plain.nuisance)
-        places = robust_directions(tuple(seen.place for seen in objects), plain.changes(self.readings)[0], match)
+        places = robust_directions(
+            tuple(still_object.place for still_object in objects), plain.changes(self.readings)[0], match
+        )
         return tuple(
-            replace(seen, place=place, track=((0, place),)) for seen, place in zip(objects, places, strict=True)
+            replace(still_object, place=place, track=((0, place),))
+            for still_object, place in zip(objects, places, strict=True)
         )
 
     def presses(self, rate_hz: float | None) -> Searched:
@@ -172,11 +177,11 @@ class RecordedScene:
         scene, remarks, times, electrodes = self, list[str](), list[float](), set[int]()
         for _ in range(_MOST_CONTACTS):
             searched, suspects = scene._search(rate_hz)
-            bad = np.zeros(scene.readings.shape[1], dtype=bool)
+            bad_mask = np.zeros(scene.readings.shape[1], dtype=bool)
             for time_s, suspect in suspects:
-                bad |= suspect.readings
+                bad_mask |= suspect.readings
                 # With carry-over, the rest of the same change does not indicate a further contact.
-                if any(abs(time_s - known) < _SAME_CHANGE_S for known in times):
+                if any(abs(time_s - known_time_s) < _SAME_CHANGE_S for known_time_s in times):
                     continue
                 times.append(time_s)
                 electrodes |= set(suspect.electrodes)
@@ -184,16 +189,16 @@ class RecordedScene:
                     f"{suspect.name}: its readings changed together at {time_s:.1f} s: a contact or cable fault,"
                     " not a load; they were left out"
                 )
-            left = scene.readings.shape[1] - int(bad.sum())
-            if not bad.any() or left < _LEAST_LEFT * self.readings.shape[1]:
+            readings_left = scene.readings.shape[1] - int(bad_mask.sum())
+            if not bad_mask.any() or readings_left < _LEAST_LEFT * self.readings.shape[1]:
                 break
-            scene = scene.drop_readings(bad)
-        why = searched.why or (
+            scene = scene.drop_readings(bad_mask)
+        reason = searched.why or (
             "" if searched.sightings else "no change is a load: " + "; ".join([*remarks, *searched.remarks])
         )
         return replace(
             searched,
-            why=why,
+            why=reason,
             remarks=(*self.remarks, *remarks, *searched.remarks),
             suspect_electrodes=tuple(sorted(electrodes)),
         )
@@ -206,7 +211,7 @@ class RecordedScene:
         sigma = np.maximum(sigma, 0.5 * float(np.median(sigma)))
         match = matcher(self.sheet.patterns, self.sheet.places, sigma, self.model.nuisance)
         white = match.whiten(changes)
-        result, seen = search(white, match, self._build_no_loads(match))
+        result, detected_changes = search(white, match, self._build_no_loads(match))
         presses, unclear = find_initial_loads(result.presses, len(white))
         seen_loads = [
             self._press_seen(press, place, times, readings, changes, goodness)
@@ -217,36 +222,36 @@ class RecordedScene:
         sightings = tuple(sorted(seen_loads, key=lambda load: load.start_s))
         remarks = (*_gains(result, times), *_signs(sightings, unclear, times))
         suspects = [(float(times[frame]), suspect) for frame, suspect in result.suspects]
-        why = _describe_rejected(result, times) if seen else _quiet(white @ match.patterns)
-        if not (why or sightings or remarks):
-            at = ", ".join(f"{times[change.frame]:.1f} s" for change in seen[:_MOST_LISTED])
-            why = f"the changes (at {at}) only return to the initial state: no load is applied"
-        return Searched(sightings, why, remarks, scene=self), suspects
+        reason = _describe_rejected(result, times) if detected_changes else _quiet(white @ match.patterns)
+        if not (reason or sightings or remarks):
+            change_times = ", ".join(f"{times[change.frame]:.1f} s" for change in detected_changes[:_MOST_LISTED])
+            reason = f"the changes (at {change_times}) only return to the initial state: no load is applied"
+        return Searched(sightings, reason, remarks, scene=self), suspects
 
     def _build_no_loads(self, match: Matcher) -> NoLoads:
         problem = self.sheet.problem
         frame = self.model.reference * self.model.gain
-        white = match.whiten(frame[None])[0]
+        white_frame = match.whiten(frame[None])[0]
         # If a common gain is the nuisance itself, only its rounding remains.
-        if float(np.linalg.norm(white)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
-            white = np.zeros_like(white)
-        return NoLoads(white, suspects_of(problem.sensor_type.pattern, problem.used))
+        if float(np.linalg.norm(white_frame)) < 1e-6 * float(np.linalg.norm(frame / match.sigma)):
+            white_frame = np.zeros_like(white_frame)
+        return NoLoads(white_frame, suspects_of(problem.sensor_type.pattern, problem.used))
 
     def _downsample(self, rate_hz: float | None) -> tuple[Array, Array]:
         """Average fast recordings down to the rate of detection: times and readings."""
         times, readings = self.ready.block.time_s, self.readings
         group = max(1, round((rate_hz or 0.0) / _DETECTION_RATE_HZ))
-        whole = len(times) // group * group
-        if group == 1 or whole // group < FEWEST_FRAMES:
+        whole_groups_end = len(times) // group * group
+        if group == 1 or whole_groups_end // group < FEWEST_FRAMES:
             return times, readings
-        means = readings[:whole].reshape(-1, group, readings.shape[1]).mean(axis=1)
-        return times[:whole].reshape(-1, group).mean(axis=1), means
+        means = readings[:whole_groups_end].reshape(-1, group, readings.shape[1]).mean(axis=1)
+        return times[:whole_groups_end].reshape(-1, group).mean(axis=1), means
 
     def _press_seen(
         self, press: Press, place: Place, times: Array, readings: Array, changes: Array, goodness: Goodness
     ) -> Sighting:
         index = np.arange(len(times))
-        start, end = (float(np.interp(at, index, times)) for at in (press.start, press.end))
+        start, end = (float(np.interp(frame, index, times)) for frame in (press.start, press.end))
         return Sighting(
             start,
             float(times[press.peak]),
@@ -262,7 +267,7 @@ class RecordedScene:
     def _object_seen(self, seen: Object, changes: Array, *, timed: bool) -> Sighting:
         times = self.ready.block.time_s
         track = tuple((float(times[k]), place.x, place.y) for k, place in seen.track)
-        frames, at = nearest_frames(changes, seen.peak) if timed else (changes[seen.peak][None], 0)
+        frames, peak_index = nearest_frames(changes, seen.peak) if timed else (changes[seen.peak][None], 0)
         return Sighting(
             float(times[seen.first]),
             float(times[seen.peak]),
@@ -271,7 +276,7 @@ class RecordedScene:
             seen.score,
             changes[seen.peak],
             frames,
-            slice(at, at + 1),
+            slice(peak_index, peak_index + 1),
             self.model.reference,
             seen.goodness,
             track if len(track) > 1 else (),
@@ -314,10 +319,10 @@ def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) 
             " of them may be a release or another disturbance"
         )
     for press in unclear:
-        at = float(np.interp(press.start, np.arange(len(times)), times))
-        less = press.places[0].score > 0
+        change_s = float(np.interp(press.start, np.arange(len(times)), times))
+        conducts_less = press.places[0].score > 0
         remarks.append(
-            f"the change at {at:.1f} s is never reversed: it may be the release of a load held from the"
-            f" start, which then conducts {'less' if less else 'more'}"
+            f"the change at {change_s:.1f} s is never reversed: it may be the release of a load held from the"
+            f" start, which then conducts {'less' if conducts_less else 'more'}"
         )
     return remarks

@@ -35,10 +35,10 @@ class Object:
     Parameters
     ----------
     first, last, peak : frames; ``peak`` is where it is clearest.
-    place : at its peak.
-    score : at its peak, over the noise.
-    track : (frame, place) of every frame it was seen in; a single one for a still image.
-    goodness : of the fit at its peak, with all objects of that frame.
+    place : place at its peak.
+    score : score at its peak, over the noise.
+    track : frame and place of every frame it was seen in; a single one for a still image.
+    goodness : goodness of the fit at its peak, with all objects of that frame.
     """
 
     first: int
@@ -55,18 +55,18 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
 
     Parameters
     ----------
-    changes : (n, m) of used readings. used : (drives, measures) with m True entries.
+    changes : (n, m) changes of the used readings. used : (drives, measures) mask with m True entries.
 
     Returns
     -------
     Rms over pairs of (y_ij − y_ji)/√2, in the changes' unit; 0 without reciprocal pairs.
     """
-    full = np.zeros((len(changes), *used.shape))
-    full[:, used] = changes
-    both = used & used.T
-    if not both.any():
+    matrices = np.zeros((len(changes), *used.shape))
+    matrices[:, used] = changes
+    both_mask = used & used.T
+    if not both_mask.any():
         return 0.0
-    return float(np.sqrt(np.mean((full - full.swapaxes(1, 2))[:, both] ** 2) / 2))
+    return float(np.sqrt(np.mean((matrices - matrices.swapaxes(1, 2))[:, both_mask] ** 2) / 2))
 
 
 def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -88,9 +88,9 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
             f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
             f" (at least {_EXPLAINED:.0%})"
         )
-    kept = [place for place in places if abs(place.score) >= _DETECTED]
+    detected = [place for place in places if abs(place.score) >= _DETECTED]
     goodness = Goodness.from_fit(change, fit_loads(change, match, places), match.sigma, 1.0)
-    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in kept), ""
+    return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in detected), ""
 
 
 def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -104,21 +104,21 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
     -------
     One object per stretch in which it is seen, or why none was found.
     """
-    seen: list[tuple[int, Place]] = []
-    best = 0.0
+    detections: list[tuple[int, Place]] = []
+    highest = 0.0
     for k, change in enumerate(changes):
         places, explained = find_places(change, match, most=1)
         if places:
-            best = max(best, abs(places[0].score))
+            highest = max(highest, abs(places[0].score))
             if abs(places[0].score) >= _DETECTED and explained >= _EXPLAINED_MOVING:
-                seen.append((k, places[0]))
-    if not seen:
+                detections.append((k, places[0]))
+    if not detections:
         return (
             (),
-            f"nothing stands out of the noise: the best frame scores {best:.1f}, at least {_DETECTED:g} is needed",
+            f"nothing stands out of the noise: the best frame scores {highest:.1f}, at least {_DETECTED:g} is needed",
         )
-    stretches: list[list[tuple[int, Place]]] = [[seen[0]]]
-    for before, after in pairwise(seen):
+    stretches: list[list[tuple[int, Place]]] = [[detections[0]]]
+    for before, after in pairwise(detections):
         if after[0] - before[0] > _BRIDGED_FRAMES + 1:
             stretches.append([])
         stretches[-1].append(after)
@@ -146,7 +146,7 @@ class Tank:
 
     Parameters
     ----------
-    depth : in units of the radius.
+    depth : depth in units of the radius.
     """
 
     depth: float
@@ -157,9 +157,9 @@ class Tank:
 
         Signs stay as they are on a sheet: positive for what conducts more.
         """
-        used = sheet.problem.used
-        reference = self.field.readings()[used]
-        changes = self.field.changes(sheet.places, ball, conducts=conducts)[:, used].T * (1 if conducts else -1)
+        used_mask = sheet.problem.used
+        reference = self.field.readings()[used_mask]
+        changes = self.field.changes(sheet.places, ball, conducts=conducts)[:, used_mask].T * (1 if conducts else -1)
         patterns = changes / reference[:, None] * sheet.problem.reference[:, None]
         return replace(sheet, patterns=patterns)
 
@@ -170,9 +170,14 @@ class Tank:
 
         Parameters
         ----------
-        change : (m,) of the sheet's readings.
+        change : (m,) change of the sheet's readings.
         """
-        basis = np.column_stack([*(sheet.patterns[:, seen.place.index] for seen in objects), sheet.problem.reference])
+        basis = np.column_stack(
+            [
+                *(sheet.patterns[:, object_on_sheet.place.index] for object_on_sheet in objects),
+                sheet.problem.reference,
+            ]
+        )
         volume = np.linalg.lstsq(basis, change, rcond=None)[0][:-1]
         radius = float(np.mean(np.cbrt(3 * np.abs(volume) / (4 * np.pi))))
         return min(max(radius, _SIZES[0]), _SIZES[1]), bool(volume.sum() > 0)
@@ -189,17 +194,17 @@ def fit_tank(reference: Array, problem: ImagingProblem) -> Tank | None:
     -------
     Tank, or None if a sheet explains the readings as well, or a tank does not (channels of unequal gain).
     """
-    electrodes, pattern, used = problem.sensor_type.electrodes, problem.sensor_type.pattern, problem.used
+    electrodes, pattern, used_mask = problem.sensor_type.electrodes, problem.sensor_type.pattern, problem.used
     if not isinstance(electrodes, ElectrodeLayout) or pattern.shape[0] != pattern.shape[1]:
         return None
-    groups = _distances(pattern, used)
+    groups = _distances(pattern, used_mask)
     if len(groups) < _FEWEST:
         return None
     angles = electrodes.angles_rad()
 
     def decay_spread(depth: float) -> float:
         field = DeepTank(depth, angles, pattern, electrode=_ELECTRODE)
-        ratio = np.log(np.abs(reference / field.readings()[used]))
+        ratio = np.log(np.abs(reference / field.readings()[used_mask]))
         return float(np.std([np.median(ratio[group]) for group in groups]))
 
     fit = minimize_scalar(decay_spread, bounds=_DEPTHS, method="bounded", options={"xatol": 1e-3})
@@ -213,10 +218,10 @@ def _distances(pattern: DrivePattern, used: Mask) -> list[NDArray[np.int64]]:
     """Used readings, counted in order, by the distance round the ring between driven and measured pair."""
     drive, measure = np.nonzero(used)
     count = pattern.electrode_count
-    first = (
+    first_electrodes = (
         np.array([pair[0] for pair in pattern.drive])[drive],
         np.array([pair[0] for pair in pattern.measure])[measure],
     )
-    apart = (first[1] - first[0]) % count
-    apart = np.minimum(apart, count - apart)
-    return [np.flatnonzero(apart == distance) for distance in np.unique(apart)]
+    steps_apart = (first_electrodes[1] - first_electrodes[0]) % count
+    steps_apart = np.minimum(steps_apart, count - steps_apart)
+    return [np.flatnonzero(steps_apart == distance) for distance in np.unique(steps_apart)]

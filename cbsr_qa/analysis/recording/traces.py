@@ -27,10 +27,10 @@ _DECLINED = 0.25  #: otherwise the end is where this share of the drop is passed
 def rough(change: Change, limit: int, n: int) -> tuple[slice, slice]:
     """Frames before a step, and after it up to ``limit``, for its first pattern."""
     before_end = max(change.frame - change.window, 1)
-    after = min(change.frame + max(1, change.window // 2), max(limit - 1, change.frame), n - 1)
+    begin_after = min(change.frame + max(1, change.window // 2), max(limit - 1, change.frame), n - 1)
     return (
         slice(max(before_end - BEFORE_FRAMES, 0), before_end),
-        slice(after, max(min(after + _ROUGH_AFTER_FRAMES, limit), after + 1)),
+        slice(begin_after, max(min(begin_after + _ROUGH_AFTER_FRAMES, limit), begin_after + 1)),
     )
 
 
@@ -55,24 +55,24 @@ def trace(white: Array, before: slice, held: slice, besides: Sequence[Array] = (
 
 def smooth(along: Array, window: int = 2) -> Array:
     """Running median over the odd number of frames above a window: weak presses are only seen with wide windows."""
-    half = window // 2
-    if len(along) < 2 * half + 1:
+    half_window = window // 2
+    if len(along) < 2 * half_window + 1:
         return along
-    return median_filter(along, 2 * half + 1, mode="nearest")
+    return median_filter(along, 2 * half_window + 1, mode="nearest")
 
 
 def rise(along: Array, first: Change, end: int) -> tuple[float, int]:
     """Start of the press (fractional frame), and the first frame in which it is down."""
-    after = slice(first.frame, max(end, first.frame + 1))
-    plateau = float(np.median(along[after]))
+    slice_after = slice(first.frame, max(end, first.frame + 1))
+    plateau = float(np.median(along[slice_after]))
     earliest = max(first.frame - 2 * first.window, 0)
-    down = next((k for k in range(earliest, after.stop) if along[k] >= _REACHED * plateau), first.frame)
-    k = max(down, 1)
+    first_down = next((k for k in range(earliest, slice_after.stop) if along[k] >= _REACHED * plateau), first.frame)
+    k = max(first_down, 1)
     while k > earliest + 1 and along[k - 1] > _BEGUN * plateau:
         k -= 1
     low, high = float(along[k - 1]), float(along[k])
     share = (_BEGUN * plateau - low) / (high - low) if high > low else 0.0
-    return k - 1 + min(max(share, 0.0), 1.0), max(down, k)
+    return k - 1 + min(max(share, 0.0), 1.0), max(first_down, k)
 
 
 def slow_rise(along: Array, held: int) -> float:
@@ -99,25 +99,25 @@ def signal_energy(white: Array, before: slice, held: slice) -> float:
 
 def end_of(along: Array, begin: int, limit: int) -> float:
     """Start of a trace's final decline; the last frame if it does not decline, or only decays."""
-    part = along[begin:limit]
-    if len(part) < 4:
+    span = along[begin:limit]
+    if len(span) < 4:
         return float(limit - 1)
-    top = int(np.argmax(part))
-    last = float(part[-min(3, len(part)) :].mean())
-    drop = float(part[top]) - last
-    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(part)))) / np.sqrt(2)
-    if drop < max(_RELEASED * float(part[top]), 4 * noise):
+    top = int(np.argmax(span))
+    last_level = float(span[-min(3, len(span)) :].mean())
+    drop = float(span[top]) - last_level
+    noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(span)))) / np.sqrt(2)
+    if drop < max(_RELEASED * float(span[top]), 4 * noise):
         return float(limit - 1)
-    reach = min(3, len(part) - 1 - top)
+    reach = min(3, len(span) - 1 - top)
     if reach > 0:
-        falls = part[top:-reach] - part[top + reach :]
+        falls = span[top:-reach] - span[top + reach :]
         steepest = int(np.argmax(falls))
         if falls[steepest] >= _SUDDEN * drop:
-            return _crossing(part, top + steepest, float(part[top + steepest]) - falls[steepest] / 2) + begin
-    down = int(np.argmax(part >= _REACHED * part[top]))
-    if limit == len(along) and last >= _STAYED * float(part[top]) and _fades(part[down:], drop, noise):
+            return _crossing(span, top + steepest, float(span[top + steepest]) - falls[steepest] / 2) + begin
+    reached = int(np.argmax(span >= _REACHED * span[top]))
+    if limit == len(along) and last_level >= _STAYED * float(span[top]) and _fades(span[reached:], drop, noise):
         return float(limit - 1)
-    return _crossing(part, top, float(part[top]) - _DECLINED * drop, last=True) + begin
+    return _crossing(span, top, float(span[top]) - _DECLINED * drop, last=True) + begin
 
 
 def _fades(part: Array, drop: float, noise: float) -> bool:
@@ -130,9 +130,9 @@ def _fades(part: Array, drop: float, noise: float) -> bool:
 
 def _crossing(part: Array, begin: int, level: float, *, last: bool = False) -> float:
     """Fractional index at which a falling trace passes a level: the first time from ``begin`` on, or the last."""
-    above = np.flatnonzero(part[begin:] >= level) + begin
+    frames_above = np.flatnonzero(part[begin:] >= level) + begin
     if last:
-        k = int(above[-1]) if len(above) else begin
+        k = int(frames_above[-1]) if len(frames_above) else begin
     else:
         below = np.flatnonzero(part[begin:] < level) + begin
         k = int(below[0]) - 1 if len(below) else len(part) - 1

@@ -31,7 +31,7 @@ class DirectedAgreement:
 
     Parameters
     ----------
-    loading : after presses; else after releases.
+    loading : whether loads are compared after presses; else after releases.
     first, second : names of the compared traces.
     loads : number behind the second.
     found : the comparison.
@@ -91,8 +91,8 @@ def sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
 def _sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
     strip = run.record.material.strip_relaxation
     if strip is None:
-        why = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
-        return tuple(_refuse_agreement(loading, why) for loading in (True, False))
+        reason = f"material {run.record.material.name} has no strip relaxation; characterise a strip of its batch"
+        return tuple(_refuse_agreement(loading, reason) for loading in (True, False))
     force = run_force(run)
     if force.learned is None:
         return tuple(
@@ -148,9 +148,11 @@ def _refuse_agreement(loading: bool, why: str) -> DirectedAgreement:
 
 
 def _measure_relaxation(loads: Sequence[LoadObservation], signal: str, loading: bool) -> MeasuredRelaxation:
-    seen = [curve for load in loads if (curve := _find_relaxation(load, signal, loading))]
-    starts = [0 if loading else relaxation_start(curve.trace.values) for curve in seen]
-    traces = [(curve.trace.time_s[at:], curve.trace.values[at:]) for curve, at in zip(seen, starts, strict=True)]
+    curves = [curve for load in loads if (curve := _find_relaxation(load, signal, loading))]
+    starts = [0 if loading else relaxation_start(curve.trace.values) for curve in curves]
+    traces = [
+        (curve.trace.time_s[start:], curve.trace.values[start:]) for curve, start in zip(curves, starts, strict=True)
+    ]
     window_s = max(float(time_s[-1]) for time_s, _ in traces)
     change = None if loading else float(np.mean([_end(load, signal) for load in loads]))
     start_s = min(float(time_s[0]) for time_s, _ in traces)
@@ -164,5 +166,5 @@ def _find_relaxation(load: LoadObservation, signal: str, loading: bool) -> Relax
 
 
 def _end(load: LoadObservation, signal: str) -> float:
-    held = load.relaxation(signal, loading=True)
-    return 0.0 if held is None else held.trace.end_level
+    hold_relaxation = load.relaxation(signal, loading=True)
+    return 0.0 if hold_relaxation is None else hold_relaxation.trace.end_level

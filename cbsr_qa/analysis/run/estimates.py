@@ -21,9 +21,9 @@ from cbsr_qa.eit.loads.round_load import RoundLoadModel
 
 Key = tuple[str, int]  # phase, index of the load within it
 
-#: With fewer unloaded frames the noise of a single reading is unknown.
+#: Fewest unloaded frames for which the noise of a single reading is known.
 FEWEST_FRAMES: Final = 6
-#: A quieter reading, relative to the median, is quantised rather than that good.
+#: Noise variance relative to the median below which a reading is quantised rather than quiet.
 _QUIETEST: Final = 1e-2
 
 
@@ -33,8 +33,8 @@ class EstimatedLoad:
 
     Parameters
     ----------
-    indenter : with the radius of the head given; None if the head is not round, or the estimate failed.
-    size : with an unknown radius; None if the estimate failed.
+    indenter : estimate with the radius of the head given; None if the head is not round, or the estimate failed.
+    size : estimate with an unknown radius; None if the estimate failed.
     why : reason of a failed estimate; empty otherwise.
     """
 
@@ -52,30 +52,32 @@ def estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, Estimate
 
     Returns
     -------
-    By phase and index of the load within it.
+    Estimates by phase and by index of the load within it.
     """
     return run.derive(_estimate_loads, reference)
 
 
 def _estimate_loads(run: RunObservation, reference: str) -> Mapping[Key, EstimatedLoad]:
-    alone = [load for load in run.loads if load.together == 1]
+    single_loads = [load for load in run.loads if load.together == 1]
     try:
         model = load_model(run.record.sensor_type)
         noise = reading_variance(run.unloaded, run.usable)
-        estimates = _estimates(run, alone, model, noise, reference) if alone else {}
+        estimates = _estimates(run, single_loads, model, noise, reference) if single_loads else {}
     except NumericsError as error:
         return {_key(load): EstimatedLoad(None, None, error.reason) for load in run.loads}
-    many = "{} loads were held at once; the estimate needs one"
-    rest = {
-        _key(load): EstimatedLoad(None, None, many.format(load.together)) for load in run.loads if load.together > 1
+    several_held = "{} loads were held at once; the estimate needs one"
+    refusals = {
+        _key(load): EstimatedLoad(None, None, several_held.format(load.together))
+        for load in run.loads
+        if load.together > 1
     }
-    return {**estimates, **rest}
+    return {**estimates, **refusals}
 
 
 def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     """Noise variance of every reading of one frame, (drives, measures) [V²], about a straight line in time.
 
-    Raised by ν/(ν − 2) for ν degrees of freedom, so that misfits weighted by its inverse average one.
+    The variance is raised by ν/(ν − 2) for ν degrees of freedom: misfits weighted by its inverse average one.
 
     The moderated variances used for images (:mod:`cbsr_qa.eit.inverse.readings`) are the better estimate: from 16
     unloaded frames they make force errors 6 % smaller (39 places, 6 sensors of 30 held-out loads: 0.059 to 0.055 N
@@ -83,18 +85,18 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     contain 75 and 74 % of the loads, now 73 and 72 %), and the allowances for residues and places were determined
     with these variances.
 
-    NumericsError if there are too few frames, or they do not differ.
+    Raise NumericsError if there are too few frames, or they do not differ.
     """
     count = len(unloaded)
     if count < FEWEST_FRAMES:
         raise NumericsError(f"{count} unloaded frames are too few to estimate noise; {FEWEST_FRAMES} are needed")
-    flat = unloaded.voltages.reshape(count, -1)
-    left = off_the_line(flat, unloaded.time_s)
+    readings_by_frame = unloaded.voltages.reshape(count, -1)
+    residuals = off_the_line(readings_by_frame, unloaded.time_s)
     freedom = count - 2
-    variance = ((left**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
+    variance = ((residuals**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
     typical = float(np.median(variance[usable]))
     # Rounding of identical frames is not noise.
-    if typical <= (1e-13 * np.abs(flat).max()) ** 2:
+    if typical <= (1e-13 * np.abs(readings_by_frame).max()) ** 2:
         raise NumericsError("the unloaded frames do not differ: there is no noise to weight readings by")
     quiet: Array = np.maximum(variance, _QUIETEST * typical)
     return quiet
@@ -111,9 +113,9 @@ def _estimates(
     groups: dict[tuple[int, int], list[tuple[LoadObservation, LoadWindow]]] = defaultdict(list)
     for load in loads:
         window = window_of(run, load)
-        own = reference == "load" and len(window.before) > 0
-        count = len(window.before) if own else len(run.unloaded) - run.settings.noise_floor_frames
-        groups[(len(window.steady), count if own else -count)].append((load, window))
+        has_own_reference = reference == "load" and len(window.before) > 0
+        count = len(window.before) if has_own_reference else len(run.unloaded) - run.settings.noise_floor_frames
+        groups[(len(window.steady), count if has_own_reference else -count)].append((load, window))
     estimates: dict[Key, EstimatedLoad] = {}
     scale = model_scale(model, run.reference, run.usable)
     for (steady, signed), members in groups.items():
@@ -141,18 +143,18 @@ def _group(
     start = np.array([_start(load, run.main_mask) for load in loads])
     size = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=False)
     sized = size.estimate(changes, start_mm=start)
-    given: tuple[LoadEstimate | None, ...] = (None,) * len(loads)
+    estimates_of_known_size: tuple[LoadEstimate | None, ...] = (None,) * len(loads)
     if not head.outline_mm:
-        known = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=True)
-        given = known.estimate(changes, start_mm=start)
-    pairs = zip(loads, given, sized, strict=True)
+        estimator = LoadEstimator(model, readings, expected_radius_mm=head.radius_mm, known=True)
+        estimates_of_known_size = estimator.estimate(changes, start_mm=start)
+    pairs = zip(loads, estimates_of_known_size, sized, strict=True)
     return {_key(load): EstimatedLoad(with_head, other) for load, with_head, other in pairs}
 
 
 def model_scale(model: RoundLoadModel, reference: Array, usable: NDArray[np.bool_]) -> float:
     """Scale of a sensor against the model of unit conductance: a least-squares fit of its reference frame [A/S].
 
-    NumericsError if the frame has nothing in common with the model's.
+    Raise NumericsError if the frame has nothing in common with the model's.
     """
     expected, readings = model.solve_unloaded()[usable], reference[usable]
     scale = float(readings @ expected / (expected @ expected))

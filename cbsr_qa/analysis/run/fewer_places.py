@@ -85,11 +85,11 @@ def farthest_first(places_mm: Array, count: int, *, first: int | None = None) ->
     """
     if count > len(places_mm):
         raise NumericsError(f"cannot choose {count} places from {len(places_mm)}")
-    chosen = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
-    while len(chosen) < count:
-        apart = np.hypot(*(places_mm[:, None] - places_mm[chosen]).transpose(2, 0, 1)).min(axis=1)
-        chosen.append(int(apart.argmax()))
-    return chosen
+    chosen_indices = [int(np.hypot(*places_mm.T).argmin()) if first is None else first]
+    while len(chosen_indices) < count:
+        distances_mm = np.hypot(*(places_mm[:, None] - places_mm[chosen_indices]).transpose(2, 0, 1)).min(axis=1)
+        chosen_indices.append(int(distances_mm.argmax()))
+    return chosen_indices
 
 
 class _Loads:
@@ -97,14 +97,14 @@ class _Loads:
         learned = force.learned
         assert learned is not None
         responds = np.isfinite(learned.ratio)
-        used = list(compress(force.used, responds))
-        self._places = force.sheet_pose.places_mm(places_mm(used))
-        self._log = np.log(learned.ratio[responds]) + _line_log_ratio(run, force, used)
+        used_loads = list(compress(force.used, responds))
+        self._places = force.sheet_pose.places_mm(places_mm(used_loads))
+        self._log = np.log(learned.ratio[responds]) + _line_log_ratio(run, force, used_loads)
         self._variance = (learned.ratio_stderr[responds] / learned.ratio[responds]) ** 2
         self._scatter = learned.model.scatter
         # Each load's share of the time of its phase: surfaces may be found before the first press.
         share_s = {p.name: (p.ended_s - p.started_s) / len(p.loads) for p in run.record.phases if p.loads}
-        self._seconds = np.array([share_s[load.phase] for load in used])
+        self._seconds = np.array([share_s[load.phase] for load in used_loads])
         self._radius_mm = run.record.sensor_type.radius_mm
         radius_mm = calibration_radius_mm(force)
         area = sheet_places(learned.model, stride=2)
@@ -118,9 +118,9 @@ class _Loads:
         return len(self._at)
 
     def first_of_each(self) -> Chosen:
-        first: Chosen = np.zeros(len(self._which), dtype=np.bool_)
-        first[np.unique(self._which, return_index=True)[1]] = True
-        return first
+        first_mask: Chosen = np.zeros(len(self._which), dtype=np.bool_)
+        first_mask[np.unique(self._which, return_index=True)[1]] = True
+        return first_mask
 
     def cost(self, chosen: Chosen) -> MapCost:
         _, variance = self._learn_response(chosen).predict(self._area)
@@ -134,9 +134,9 @@ class _Loads:
     def cost_by_places(self, count: int) -> MapCost:
         """Predictions from all loads at some places, for the sheet and the left-out places, over several choices."""
         ways = np.unique(np.linspace(0, self.count - 1, _WAYS).astype(np.intp)).tolist()
-        kept = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
-        costs = [self.cost(places[self._which]) for places in kept]
-        squares = np.array([self._holdout_errors(places) for places in kept]).mean(axis=0)
+        place_masks = [np.isin(np.arange(self.count), farthest_first(self._at, count, first=way)) for way in ways]
+        costs = [self.cost(places[self._which]) for places in place_masks]
+        squares = np.array([self._holdout_errors(places) for places in place_masks]).mean(axis=0)
         return MapCost(
             count,
             round(float(np.mean([cost.loads for cost in costs]))),
@@ -151,8 +151,8 @@ class _Loads:
         mean, variance = self._learn_response(kept[self._which]).predict(self._at[~kept])
         weight = 1 / (self._variance + self._scatter**2)
         total = np.bincount(self._which, weight)
-        seen = np.bincount(self._which, weight * self._log) / total
-        error = (mean - seen[~kept]) ** 2 - 1 / total[~kept]
+        mean_log = np.bincount(self._which, weight * self._log) / total
+        error = (mean - mean_log[~kept]) ** 2 - 1 / total[~kept]
         return float(error.mean()), float(variance.mean())
 
     def _learn_response(self, chosen: Chosen) -> ResponseMap:
@@ -165,9 +165,9 @@ def _line_log_ratio(run: RunObservation, force: RunForce, used: list[LoadObserva
     """Logarithm of the sensor's own line over the material's, for each load."""
     assert force.learned is not None
     stress = np.array([load.force_N or 0.0 for load in used]) * 1e3 / run.record.indenter.area_mm2
-    given, own = run.record.material.against_stress, force.learned.line
-    nominal = given.slope.value * stress + given.intercept.value
-    return np.log(nominal / (own.slope.value * stress + own.intercept.value))
+    given_line, learned_line = run.record.material.against_stress, force.learned.line
+    nominal = given_line.slope.value * stress + given_line.intercept.value
+    return np.log(nominal / (learned_line.slope.value * stress + learned_line.intercept.value))
 
 
 def _rms(squares: Array) -> float:

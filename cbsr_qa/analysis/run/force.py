@@ -23,25 +23,25 @@ from cbsr_qa.domain.results.calibration import ForceModel
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 
-#: How a load is tested.
+#: Names of the tests of a load.
 HELD_OUT: Final = "held out"
 TRIAL_LEFT_OUT: Final = "trial left out"
-#: A load confirms a force model within so many standard errors.
+#: Number of standard errors within which a load confirms a force model.
 _BORNE_OUT: Final = 3.0
 
 
 @dataclass(frozen=True, slots=True)
 class ForceTest:
-    """Force of one held-out load as estimated, beside the load cell's.
+    """Estimated force of one held-out load, and the load cell's.
 
     Parameters
     ----------
-    load : of the run; for a predicted hold with the force at the predicted time.
+    load : load of the run; for a predicted hold with the force at the predicted time.
     how : ``"held out"`` (a phase that does not calibrate) or ``"trial left out"``.
     measured_N : by the load cell, predicted like the hold.
     known_N, known_stderr_N : with the place of the head given.
     found_N, found_stderr_N : with the place estimated; None if no load was detected.
-    place_error_mm : of that place, or None.
+    place_error_mm : error of that place [mm], or None.
     global_N : with the place given and one response for the whole sheet, the paper's way.
     """
 
@@ -65,7 +65,7 @@ class RunForce:
     learned : None if nothing could be learned, for the reason ``why``.
     used : loads it was learned from, in order of ``learned.refused``; for predicted holds with the force at the
         predicted time.
-    tests : of unused loads: held out, or of a left-out trial at places of the other trials.
+    tests : tests of unused loads: held out, or of a left-out trial at places of the other trials.
     sheet_pose : position of the sheet; places of the map and of all loads are relative to it.
     """
 
@@ -104,21 +104,21 @@ def _learn_and_test(run: RunObservation) -> RunForce:
 def learn_without_tests(run: RunObservation) -> RunForce:
     """Learn the force model from all loads of phases that calibrate, without a test.
 
-    CbsrError if nothing can be learned, with the reason.
+    Raise CbsrError if nothing can be learned, with the reason.
     """
     loads = run.derive(_RunForce)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads.loads])
-    used = tuple(compress(loads.loads, calibrating))
+    calibrating_loads = tuple(compress(loads.loads, calibrating))
     learned = loads.learn(calibrating)
     if loads.at_s is not None:
         learned = replace(learned, model=replace(learned.model, steady_s=loads.at_s))
-    return RunForce(learned, used, (), sheet_pose=loads.sheet_pose)
+    return RunForce(learned, calibrating_loads, (), sheet_pose=loads.sheet_pose)
 
 
 def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, ...]:
     """Test a model, learned elsewhere, on every load of a run, without predicting holds.
 
-    CbsrError if the run has no load with a force, or its noise cannot be estimated.
+    Raise CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
     loads = _RunForce(replace(run, settings=replace(run.settings, transients="averaged")))
     return tuple(loads.tests(learned, np.ones(len(loads.loads), dtype=np.bool_), HELD_OUT))
@@ -127,7 +127,7 @@ def force_tests(run: RunObservation, learned: LearnedForce) -> tuple[ForceTest, 
 def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], CalibrationLoads]:
     """Loads pressed alone with their force recorded, and what force is learned from, at their places on the sheet.
 
-    CbsrError if the run has no such load, or its noise cannot be estimated.
+    Raise CbsrError if the run has no such load, or its noise cannot be estimated.
     """
     of_run = run.derive(_RunForce)
     return of_run.loads, of_run.data
@@ -136,7 +136,7 @@ def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], Calib
 def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
     """Strengths under holds at the places of loads, from the start of each [s], without residues of earlier ones.
 
-    CbsrError if the run has no load with a force, or its noise cannot be estimated.
+    Raise CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
     strengths = run.derive(_RunForce).strengths()
     return [strengths.change(load) for load in loads]
@@ -157,11 +157,11 @@ class _RunForce:
         self.line = run.record.material.against_stress
         self.merging = readings.merging / scale
         self.bank: TemplateBank = template_bank(model, readings, self.head)
-        pressed = [load for load in run.loads if load.force_N is not None and load.together == 1]
-        self.loads = tuple(pressed)
+        single_loads = [load for load in run.loads if load.force_N is not None and load.together == 1]
+        self.loads = tuple(single_loads)
         self.data, self.sheet_pose = self._locate_on_sheet(self._data())
         self.at_s: float | None = None
-        self.predicted = np.zeros(len(pressed), dtype=np.bool_)
+        self.predicted = np.zeros(len(single_loads), dtype=np.bool_)
         if run.settings.transients == "predicted":
             self._compensate()
 
@@ -183,14 +183,14 @@ class _RunForce:
             )
         windows = [window_of(self.run, load) for load in self.loads]
         steady = [self._rows(window.steady.voltages) for window in windows]
-        before = [self._rows(window.before.voltages) for window in windows]
-        nothing = np.zeros(self.merging.shape[0])
+        rows_before = [self._rows(window.before.voltages) for window in windows]
+        zero_row = np.zeros(self.merging.shape[0])
         return CalibrationLoads(
             place_mm=np.array([load.place_mm for load in self.loads]),
             rows=np.array([rows.mean(axis=0) for rows in steady]),
             frames=np.array([len(rows) for rows in steady]),
-            before=np.array([rows.mean(axis=0) if len(rows) else nothing for rows in before]),
-            frames_before=np.array([len(rows) for rows in before]),
+            before=np.array([rows.mean(axis=0) if len(rows) else zero_row for rows in rows_before]),
+            frames_before=np.array([len(rows) for rows in rows_before]),
             force_N=np.array([load.force_N for load in self.loads], dtype=np.float64),
             force_stderr_N=np.array([load.force_stderr_N or 0.0 for load in self.loads]),
         )
@@ -218,18 +218,18 @@ class _RunForce:
         tests = self.tests(learned, ~calibrating, HELD_OUT)
         trials = np.array([load.record.load.trial for load in self.loads])
         for trial in sorted(set(trials[calibrating].tolist())):
-            left_out = calibrating & (trials == trial)
-            others = calibrating & ~left_out
+            left_out_mask = calibrating & (trials == trial)
+            others_mask = calibrating & ~left_out_mask
             # Whether each load's place was pressed by others; elsewhere repeatability is not tested.
-            places = {tuple(place) for place in self.data.place_mm[others].tolist()}
+            places = {tuple(place) for place in self.data.place_mm[others_mask].tolist()}
             pressed_by_others = np.array(
                 [tuple(place) in places for place in self.data.place_mm.tolist()], dtype=np.bool_
             )
-            again = left_out & pressed_by_others
-            if again.any():
-                tests += self.tests(self.learn(others), again, TRIAL_LEFT_OUT)
-        used = tuple(compress(self.loads, calibrating))
-        return RunForce(learned, used, tuple(tests), sheet_pose=self.sheet_pose)
+            again_mask = left_out_mask & pressed_by_others
+            if again_mask.any():
+                tests += self.tests(self.learn(others_mask), again_mask, TRIAL_LEFT_OUT)
+        calibrating_loads = tuple(compress(self.loads, calibrating))
+        return RunForce(learned, calibrating_loads, tuple(tests), sheet_pose=self.sheet_pose)
 
     def add_kernels(self, learned: LearnedForce, which: NDArray[np.bool_]) -> LearnedForce:
         """Add the time of the hold at which loads were evaluated, and their kernels."""
@@ -260,31 +260,33 @@ class _RunForce:
         filter_ = TemplateFilter(learned.model)
         inverse = ForceInverse(learned.model, learned.line, self.head.area_mm2, map_tables(learned.model))
         everywhere = _global(learned)
-        flat = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
+        flat_inverse = ForceInverse(everywhere, learned.line, self.head.area_mm2, map_tables(everywhere))
         rows, noise = data.subtract_residues()
-        left = filter_.match_at(data.before, data.place_mm).strength
-        given = _noisy(filter_.match_at(rows, data.place_mm), noise, left * learned.model.residue_stderr)
-        matches = _noisy(filter_.search(rows), noise, left * learned.model.residue_stderr)
+        strength_left = filter_.match_at(data.before, data.place_mm).strength
+        matches_at_places = _noisy(
+            filter_.match_at(rows, data.place_mm), noise, strength_left * learned.model.residue_stderr
+        )
+        matches = _noisy(filter_.search(rows), noise, strength_left * learned.model.residue_stderr)
         matches = add_scatter(matches, filter_.size_slope(matches.place_mm), learned.model.place_scatter_mm)
-        known, known_stderr = inverse.force(given)
-        flat_N, _ = flat.force(given)
-        seen, seen_stderr = inverse.force(matches)
+        known_N, known_stderr_N = inverse.force(matches_at_places)
+        flat_N, _ = flat_inverse.force(matches_at_places)
+        found_N, found_stderr_N = inverse.force(matches)
         detected = np.sqrt(matches.gain / noise) >= learned.model.threshold
-        apart = np.hypot(*(matches.place_mm - data.place_mm).T)
+        distance_mm = np.hypot(*(matches.place_mm - data.place_mm).T)
         return [
             ForceTest(
                 load=loads[k],
                 how=how,
                 measured_N=float(data.force_N[k]),
-                known_N=float(known[k]),
-                known_stderr_N=float(np.hypot(known_stderr[k], data.force_stderr_N[k])),
-                found_N=float(seen[k]) if detected[k] and np.isfinite(seen[k]) else None,
-                found_stderr_N=float(seen_stderr[k]) if detected[k] and np.isfinite(seen[k]) else None,
-                place_error_mm=float(apart[k]) if detected[k] else None,
+                known_N=float(known_N[k]),
+                known_stderr_N=float(np.hypot(known_stderr_N[k], data.force_stderr_N[k])),
+                found_N=float(found_N[k]) if detected[k] and np.isfinite(found_N[k]) else None,
+                found_stderr_N=float(found_stderr_N[k]) if detected[k] and np.isfinite(found_N[k]) else None,
+                place_error_mm=float(distance_mm[k]) if detected[k] else None,
                 global_N=float(flat_N[k]),
             )
             for k in range(len(loads))
-            if np.isfinite(known[k])
+            if np.isfinite(known_N[k])
         ]
 
 
@@ -298,12 +300,12 @@ def _noisy(matches: Matches, noise: Array, residue: Array) -> Matches:
 def _global(learned: LearnedForce) -> ForceModel:
     """The model with one response for the whole sheet: the mean of the loads' (the paper's ρ̄₀)."""
     ratio, error = learned.ratio, learned.ratio_stderr
-    used = np.isfinite(ratio)
-    mean = float(np.mean(ratio[used]))
-    spread = float(np.std(ratio[used]) / mean)
+    finite_mask = np.isfinite(ratio)
+    mean = float(np.mean(ratio[finite_mask]))
+    spread = float(np.std(ratio[finite_mask]) / mean)
     count = len(learned.model.log_response)
     return replace(
         learned.model,
         log_response=np.full(count, np.log(mean)),
-        log_response_stderr=np.full(count, max(spread, float(np.mean(error[used])))),
+        log_response_stderr=np.full(count, max(spread, float(np.mean(error[finite_mask])))),
     )

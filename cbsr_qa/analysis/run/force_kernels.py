@@ -26,10 +26,10 @@ from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
-#: Phase of a load and its index there.
+#: Key of a load: its phase and its index there.
 LoadKey = tuple[str, int]
 
-#: Weaker loads contribute little to a shape and cost as much time.
+#: Least detectability of a load that is used: weaker ones contribute little to a shape and cost as much time.
 _LEAST_DETECTABILITY: Final = 15.0
 _MOST: Final = 60
 #: Time constant with which residues of earlier loads decay to their share at the steady frames: of the order of the
@@ -44,7 +44,7 @@ def force_kernels(
 
     Parameters
     ----------
-    places_mm : (n, 2) of the loads, on the sheet.
+    places_mm : (n, 2) places of the loads, on the sheet.
     merging : maps changes of used readings to rows.
 
     Returns
@@ -52,11 +52,11 @@ def force_kernels(
     Both; None for short holds, weak loads, or relaxation that cannot be separated from drift.
     """
     traces = StrengthTraces(run, dict(zip(map(key_of, loads), places_mm, strict=True)), merging, filter_)
-    clear = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
-    clear = [load for load in clear if traces.detectability(load) >= _LEAST_DETECTABILITY]
-    if not clear:
+    clearest_loads = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
+    clearest_loads = [load for load in clearest_loads if traces.detectability(load) >= _LEAST_DETECTABILITY]
+    if not clearest_loads:
         return None, None
-    return traces.loading(clear), traces.unloading(clear)
+    return traces.loading(clearest_loads), traces.unloading(clearest_loads)
 
 
 def frames_of(run: RunObservation, load: LoadObservation, from_s: float, to_s: float) -> FrameBlock | None:
@@ -100,14 +100,14 @@ class StrengthTraces:
         traces, ramps, noises, released = [], [], [], []
         for load in loads:
             record = load.record
-            _, held, _ = self.hold_trace(load)
+            _, held_strength, _ = self.hold_trace(load)
             time_s, strength, noise = self._trace(load, record.unloaded_s, record.rest_end_s)
             if len(time_s) < 6:
                 continue
             traces.append((time_s, strength))
             ramps.append(ramp_s(load))
             noises.append(noise)
-            released.append(float(held[-4:].mean()))
+            released.append(float(held_strength[-4:].mean()))
         if not traces:
             return None
         sign = np.sign(np.mean(released))
@@ -132,8 +132,8 @@ class StrengthTraces:
 
     def residue(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
-        before = window_of(self._run, load).before
-        return float(self._strengths(load, before).strength.mean()) if len(before) else 0.0
+        frames_before = window_of(self._run, load).before
+        return float(self._strengths(load, frames_before).strength.mean()) if len(frames_before) else 0.0
 
     def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
         return self._filter.match_at(self._rows(frames), self._places_mm[key_of(load)])
@@ -143,7 +143,7 @@ class StrengthTraces:
 
 
 def ramp_s(load: LoadObservation) -> float:
-    """How long the head moved in the sheet: as long down as up."""
+    """Return the time that the head moved in the sheet [s]: as long down as up."""
     return max(load.record.unloaded_s - load.record.release_start_s, 0.0)
 
 
@@ -161,10 +161,10 @@ def _usable(
     return None if kernel.why else kernel
 
 
-#: Loads held for this share of the longest hold are not predicted.
+#: Share of the longest hold from which a load is held long enough not to be predicted.
 LONG: Final = 0.9
-#: Most that a prediction may raise or lower readings. After a second of hold a third of a change is present; more is
-#: noise over noise, from weak loads.
+#: Largest factor by which a prediction may change readings. After a second of hold a third of a change is present;
+#: a larger factor is noise over noise, from weak loads.
 LARGEST_FACTOR: Final = 5.0
 #: Force samples are averaged over this time before a kernel is learned: relaxations take seconds.
 _BIN_S: Final = 1.0
@@ -176,7 +176,7 @@ class Compensated:
 
     Parameters
     ----------
-    data : with predicted rows and forces.
+    data : data with predicted rows and forces.
     at_s : their time after the press [s]; None if nothing was predicted.
     predicted : (n,) whether each load was.
     """
@@ -193,7 +193,7 @@ def compensate_loads(
 
     Parameters
     ----------
-    loads : of ``data``, in its order.
+    loads : loads of ``data``, in its order.
     traces : strengths of those loads over time.
 
     Returns
@@ -225,10 +225,10 @@ def compensate_loads(
 
 def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | None) -> RelaxationKernel:
     if kernel is None or kernel.why:
-        of = "the longest holds" if loads is None else f"the {loads} longest holds"
-        why = f": {kernel.why}" if kernel is not None else ""
+        holds = "the longest holds" if loads is None else f"the {loads} longest holds"
+        reason = f": {kernel.why}" if kernel is not None else ""
         raise NumericsError(
-            f"{of} do not determine how the {what} relaxes{why}: no hold can be predicted from its start",
+            f"{holds} do not determine how the {what} relaxes{reason}: no hold can be predicted from its start",
             remedy='hold some loads for 1.5 settling times, or set transients = "averaged" in the recipe',
         )
     return kernel
@@ -251,15 +251,15 @@ def _predict_rows(
     time_s, strength, noise = traces.hold_trace(load)
     if not len(time_s):
         raise NumericsError(f"load {load.record.load.label} of phase {load.phase!r} was held without taking a frame")
-    left, fading = traces.residue(load), traces.fading(time_s)
-    seen = predict_steady(time_s, strength - left * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
+    residue, fading = traces.residue(load), traces.fading(time_s)
+    prediction = predict_steady(time_s, strength - residue * fading, noise, kernel, ramp_s=ramp_s(load), at_s=at_s)
     # The rows are the mean of the last frames of the hold, after subtraction of the same residue.
-    last = slice(-int(data.frames[k]), None)
-    fade = float(fading[last].mean())
-    window = float(strength[last].mean()) - left * fade
-    factor = _within(float(seen.values[0]), window)
+    last_frames = slice(-int(data.frames[k]), None)
+    fade = float(fading[last_frames].mean())
+    window = float(strength[last_frames].mean()) - residue * fade
+    factor = _within(float(prediction.values[0]), window)
     rows: Array = factor * (data.rows[k] - fade * data.before[k]) + RESIDUE_SHARE * data.before[k]
-    return rows, float((noise / seen.stderr[0]) ** 2)
+    return rows, float((noise / prediction.stderr[0]) ** 2)
 
 
 def _within(predicted: float, seen: float) -> float:
@@ -270,20 +270,20 @@ def _within(predicted: float, seen: float) -> float:
 def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Array, float]:
     """Force under a hold: times from its start [s], means over a second, and their noise."""
     samples = run.record.phase(load.phase).channel("force")
-    none = np.zeros(0)
+    no_samples = np.zeros(0)
     if samples is None:
-        return none, none, 0.0
-    taken = samples.select_interval(load.record.hold_start_s, load.record.release_start_s)
-    time_s = taken.time_s - load.record.hold_start_s
+        return no_samples, no_samples, 0.0
+    held_samples = samples.select_interval(load.record.hold_start_s, load.record.release_start_s)
+    time_s = held_samples.time_s - load.record.hold_start_s
     if len(time_s) < 2:
-        return none, none, 0.0
+        return no_samples, no_samples, 0.0
     number = (time_s / _BIN_S).astype(np.intp)
     count = np.bincount(number)
-    full = count > 0
-    times = np.bincount(number, time_s)[full] / count[full]
-    values = np.bincount(number, taken.values)[full] / count[full]
+    full_bins = count > 0
+    times = np.bincount(number, time_s)[full_bins] / count[full_bins]
+    values = np.bincount(number, held_samples.values)[full_bins] / count[full_bins]
     # From neighbouring samples, which the relaxation hardly changes.
-    noise = float(np.std(np.diff(taken.values))) / np.sqrt(2 * float(np.median(count[full])))
+    noise = float(np.std(np.diff(held_samples.values))) / np.sqrt(2 * float(np.median(count[full_bins])))
     return times, values, max(noise, 1e-9 * float(np.abs(values).max()))
 
 
@@ -307,5 +307,5 @@ def _predict_force(
     times, values, noise = trace
     if not len(times):
         raise NumericsError(f"no force was recorded under load {load.record.load.label} of phase {load.phase!r}")
-    seen = predict_steady(times, values, noise, kernel, ramp_s=ramp_s(load), frame_s=_BIN_S, at_s=at_s)
-    return float(seen.values[0]), float(seen.stderr[0])
+    prediction = predict_steady(times, values, noise, kernel, ramp_s=ramp_s(load), frame_s=_BIN_S, at_s=at_s)
+    return float(prediction.values[0]), float(prediction.stderr[0])

@@ -24,7 +24,7 @@ from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 
 #: Fewest errors for a standard deviation.
 FEWEST: Final = 2
-#: With fewer loads the share inside an interval hardly distinguishes a correct one from one half as wide: its own
+#: Fewest loads for which the share inside an interval tells a correct one from one half as wide: its own
 #: standard deviation is then 9 %.
 FEWEST_COVERED: Final = 30
 #: Relative error of the correction to the steady state, unknown to the common fit: residues of earlier loads bend the
@@ -54,11 +54,11 @@ class ForceErrors:
         ones.
         """
         count = self._enough()
-        left = self.error_N - self.error_N.mean()
-        second = float((left**2).mean())
+        centred_N = self.error_N - self.error_N.mean()
+        second = float((centred_N**2).mean())
         if second == 0:
             return Estimate(0.0, None, count - 1)
-        kurtosis = max(float((left**4).mean()) / second**2, 3.0)
+        kurtosis = max(float((centred_N**4).mean()) / second**2, 3.0)
         value = float(np.sqrt(second * count / (count - 1)))
         return Estimate(
             value, value * float(np.sqrt((kurtosis - (count - 3) / (count - 1)) / (4 * count))), count - 1
@@ -67,7 +67,7 @@ class ForceErrors:
     def bias(self) -> Estimate:
         """Return the mean error [N] and its standard error.
 
-        NumericsError if there are fewer than two loads.
+        Raise NumericsError if there are fewer than two loads.
         """
         count = self._enough()
         spread = float(self.error_N.std(ddof=1))
@@ -123,7 +123,7 @@ def global_errors(tests: Sequence[ForceTest]) -> ForceErrors:
 def calibration_radius_mm(force: RunForce) -> float:
     """Return the distance of the farthest calibration load from the centre [mm]."""
     assert force.learned is not None
-    places = places_mm([load for load, why in zip(force.used, force.learned.refused, strict=True) if not why])
+    places = places_mm([load for load, refusal in zip(force.used, force.learned.refused, strict=True) if not refusal])
     return float(np.hypot(*places.T).max())
 
 
@@ -141,7 +141,7 @@ class MapQuality:
     places_mm, response, stderr : (n, 2), (n,) S and (n,) its relative standard error.
     spread : standard deviation of the sheet's response over its mean: the map's, and unresolved variation.
     rms_error : root mean square of ``stderr``.
-    least_sure_mm : where ``stderr`` is largest.
+    least_sure_mm : place where ``stderr`` is largest [mm].
     """
 
     places_mm: Array
@@ -178,7 +178,7 @@ class Detectable:
 def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -> tuple[Detectable, ...]:
     """Return the force of the detection threshold at places (n, 2): half of such loads are detected.
 
-    NumericsError if by the line no load would be detected.
+    Raise NumericsError if by the line no load would be detected.
     """
     model = learned.model
     template = TemplateFilter(model).template(places_mm)
@@ -189,8 +189,8 @@ def detectable_forces(learned: LearnedForce, head: Indenter, places_mm: Array) -
     force, stderr = ForceInverse(model, learned.line, head.area_mm2, map_tables(model)).force(matches)
     if not (np.isfinite(force).all() and (force > 0).all()):
         raise NumericsError("the line's intercept alone exceeds the threshold: there is no least force")
-    at = (tuple(map(float, place)) for place in places_mm)
-    return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, at, strict=True))
+    places = (tuple(map(float, place)) for place in places_mm)
+    return tuple(Detectable(float(f), float(e), (p[0], p[1])) for f, e, p in zip(force, stderr, places, strict=True))
 
 
 def gauge_factor(
@@ -200,8 +200,8 @@ def gauge_factor(
 
     Parameters
     ----------
-    traces : of holds, which determine how the conductance approaches its steady state; by default those of the run's
-        blobs.
+    traces : traces of holds, which determine how the conductance approaches its steady state; by default those of the
+        run's blobs.
 
     Raises
     ------
@@ -210,17 +210,19 @@ def gauge_factor(
     """
     learned = force.learned
     assert learned is not None
-    usable = [k for k, load in enumerate(force.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0]
-    loads = [force.used[k] for k in usable]
+    usable_indices = [
+        k for k, load in enumerate(force.used) if np.isfinite(learned.ratio[k]) and load.record.load.strain > 0
+    ]
+    loads = [force.used[k] for k in usable_indices]
     if not loads:
         raise NumericsError("no load of the calibration has a nominal strain")
     line = run.record.material.against_stress
     stress = np.array([load.stress_kPa or 0.0 for load in loads])
-    contrast = learned.ratio[usable] * (line.slope.value * stress + line.intercept.value)
-    seen = sheet_gauge_factor(
+    contrast = learned.ratio[usable_indices] * (line.slope.value * stress + line.intercept.value)
+    fitted_factor = sheet_gauge_factor(
         places_mm(loads),
         contrast,
-        (learned.ratio_stderr[usable] / learned.ratio[usable]) ** 2,
+        (learned.ratio_stderr[usable_indices] / learned.ratio[usable_indices]) ** 2,
         np.array([load.record.load.strain for load in loads]),
         run.record.material.against_strain,
         radius_mm=run.record.sensor_type.radius_mm,
@@ -229,17 +231,19 @@ def gauge_factor(
     if traces is None:
         traces = _blob_traces(run)
     share = _steady_share(run, loads, traces, learned.model.steady_s)
-    value = seen.value * share.value
-    relative = float(np.hypot((seen.stderr or 0.0) / seen.value, (share.stderr or 0.0) / share.value))
-    return Estimate(value, abs(value) * relative, seen.degrees), share
+    value = fitted_factor.value * share.value
+    relative = float(
+        np.hypot((fitted_factor.stderr or 0.0) / fitted_factor.value, (share.stderr or 0.0) / share.value)
+    )
+    return Estimate(value, abs(value) * relative, fitted_factor.degrees), share
 
 
 def _blob_traces(run: RunObservation) -> list[TimedValues]:
     return [
-        (seen.trace.time_s, seen.trace.values)
+        (relaxation.trace.time_s, relaxation.trace.values)
         for load in run.loads
-        for seen in load.relaxations
-        if seen.signal == "conductance" and seen.loading
+        for relaxation in load.relaxations
+        if relaxation.signal == "conductance" and relaxation.loading
     ]
 
 
@@ -250,9 +254,11 @@ def _steady_share(
     times = [window_of(run, load).steady.time_s - load.record.hold_start_s for load in loads]
     if run.settings.transients == "predicted" and predicted_s > 0:
         times = [np.array([predicted_s])]
-    fitted = steady_share(fit_common_relaxation(traces), np.concatenate(times))
-    of_residues = _OF_RESIDUES * abs(fitted.value - 1)
-    return Estimate(fitted.value, float(np.hypot(fitted.stderr or 0.0, of_residues)), fitted.degrees)
+    fitted_share = steady_share(fit_common_relaxation(traces), np.concatenate(times))
+    of_residues = _OF_RESIDUES * abs(fitted_share.value - 1)
+    return Estimate(
+        fitted_share.value, float(np.hypot(fitted_share.stderr or 0.0, of_residues)), fitted_share.degrees
+    )
 
 
 def _test_stderr_N(test: ForceTest, *, known: bool) -> float:

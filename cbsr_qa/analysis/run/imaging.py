@@ -56,7 +56,7 @@ def decide_response(
 
     Parameters
     ----------
-    configured : of the sensor type.
+    configured : response of the sensor type.
     signals : mean relative change under the head, one per load.
     noise_floor : relative.
 
@@ -64,26 +64,26 @@ def decide_response(
     -------
     INCREASE or DECREASE, the basis of the decision, and warnings (loads that disagree, or none clear enough).
     """
-    clear = [signal for signal in signals if abs(signal) > _VOTE * noise_floor]
-    rising = sum(signal > 0 for signal in clear)
-    falling = len(clear) - rising
+    clear_signals = [signal for signal in signals if abs(signal) > _VOTE * noise_floor]
+    rising = sum(signal > 0 for signal in clear_signals)
+    falling = len(clear_signals) - rising
     voted = Response.INCREASE if rising >= falling else Response.DECREASE
-    counts = f"{rising} loads raise the conductance, {falling} lower it"
+    counts_text = f"{rising} loads raise the conductance, {falling} lower it"
     if configured is not Response.AUTO:
-        against = f"the sensor type sets its response to {configured}, but {counts}"
-        disagree = bool(clear) and voted is not configured
+        against = f"the sensor type sets its response to {configured}, but {counts_text}"
+        disagree = bool(clear_signals) and voted is not configured
         return configured, "configured in the sensor type", (against,) if disagree else ()
-    if not clear:
+    if not clear_signals:
         return voted, "not decided: no load stands out of the noise", ("no load stands out of the noise",)
-    warnings = (f"the loads disagree on the sign of the response: {counts}",) if rising and falling else ()
-    return voted, f"decided from {len(clear)} loads: {counts}", warnings
+    warnings = (f"the loads disagree on the sign of the response: {counts_text}",) if rising and falling else ()
+    return voted, f"decided from {len(clear_signals)} loads: {counts_text}", warnings
 
 
 def mean_under(mesh: Mesh, values: Array, pressed: Footprint) -> float:
     """Area-weighted mean of an image (e,) over the elements with their centroid under a head; 0 without any."""
-    under = pressed.contains(mesh.centroids_mm)
-    area = mesh.areas_mm2 * under
-    return float(values @ area / area.sum()) if under.any() else 0.0
+    under_mask = pressed.contains(mesh.centroids_mm)
+    area = mesh.areas_mm2 * under_mask
+    return float(values @ area / area.sum()) if under_mask.any() else 0.0
 
 
 #: Smaller values are rounding, whatever the noise floor: otherwise a noiseless simulation would have blobs in the
@@ -115,10 +115,12 @@ def mask_views(
     blobs = find_blobs_by_mask(image, settings.masks)
     outlined = _outline_regions(image, settings) if settings.outline == "contour" else blobs
     views = []
-    for fraction, own, regions in zip(settings.masks, blobs, outlined, strict=True):
+    for fraction, mask_blobs, regions in zip(settings.masks, blobs, outlined, strict=True):
         region, fate = _match_region(regions, pressed, others)
         contour = None if isinstance(region, Blob) else region
-        views.append(MaskView(fraction, own, _match_region(own, pressed, others)[0], contour, fate, len(regions)))
+        views.append(
+            MaskView(fraction, mask_blobs, _match_region(mask_blobs, pressed, others)[0], contour, fate, len(regions))
+        )
     return tuple(views)
 
 
@@ -152,8 +154,8 @@ def _match_region(
         return nearest, "missed" if nearest is None else "apart"
     diameter_mm = 2 * float(np.sqrt(pressed.area_mm2 / np.pi))
     assignment = assign_regions(regions, [pressed, *others], gate_mm=diameter_mm)
-    own = assignment.region_of[0]
-    return None if own is None else regions[own], assignment.fate(0)
+    own_region = assignment.region_of[0]
+    return None if own_region is None else regions[own_region], assignment.fate(0)
 
 
 def _clear_noise(mesh: Mesh, signed: Array, noise_floor: float) -> Image:

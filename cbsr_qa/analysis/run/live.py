@@ -29,8 +29,9 @@ class PlacePreview:
 
     Parameters
     ----------
-    error_mm, overlap_percent : of the region next to the head, at the recipe's main mask; None where none is seen.
-    band : of the overlap, as the recipe names it; ``"not seen"`` without a region.
+    error_mm, overlap_percent : error and overlap of the region next to the head, at the recipe's main mask; None
+        where none is seen.
+    band : grade of the overlap, as the recipe names it; ``"not seen"`` without a region.
     """
 
     error_mm: float | None
@@ -68,8 +69,8 @@ class LivePreview:
             If these are too few, too few readings are usable, or the method is not linear.
         """
         for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
-        used = sensor_type.pattern.usable() & ~((unloaded.flags & UNUSABLE) != 0).any(axis=0)
-        prepared = linear(reconstruction.prepare(imaging_problem(sensor_type, used=used)))
+        used_mask = sensor_type.pattern.usable() & ~((unloaded.flags & UNUSABLE) != 0).any(axis=0)
+        prepared = linear(reconstruction.prepare(imaging_problem(sensor_type, used=used_mask)))
         reference = for_reference.voltages.mean(axis=0)
         imager = Imager(prepared, reference, scale_of(reference, prepared.problem))
         return cls(imager, noise_floor(imager.images(for_noise)), settings, indenter)
@@ -85,15 +86,17 @@ class LivePreview:
 
     def place(self, load: Load, steady: FrameBlock) -> PlacePreview:
         """Say how well a load is seen in the last frames of its hold."""
-        values, pressed = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
-        signed = values if mean_under(self.mesh, values, pressed) >= 0 else -values
-        regions = find_sensed_regions(self.mesh, signed, self.noise_floor, self.settings, pressed)
-        chosen = self.settings
-        figures = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
-        index = chosen.masks.index(chosen.main_mask)
-        seen, region = figures[index], regions[index]
-        if seen is None or region is None:
+        values, footprint = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
+        signed = values if mean_under(self.mesh, values, footprint) >= 0 else -values
+        regions = find_sensed_regions(self.mesh, signed, self.noise_floor, self.settings, footprint)
+        settings = self.settings
+        figures = spatial_figures(regions, footprint, clipping=settings.clipping, perimeter=settings.perimeter)
+        index = settings.masks.index(settings.main_mask)
+        figure, region = figures[index], regions[index]
+        if figure is None or region is None:
             return PlacePreview(None, None, "not seen")
         ratio = region.area_mm2 / self.indenter.area_mm2
-        band = overlap_grade(seen.overlap_percent, ratio, bands=chosen.overlap_bands, size_ratio=chosen.size_ratio)
-        return PlacePreview(seen.error_mm, seen.overlap_percent, band)
+        band = overlap_grade(
+            figure.overlap_percent, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio
+        )
+        return PlacePreview(figure.error_mm, figure.overlap_percent, band)

@@ -58,9 +58,9 @@ def load_window(phase: PhaseRecord, record: LoadRecord, settings: AnalysisSettin
     hold = None if frames is None else frames.select_interval(record.hold_start_s, record.release_start_s)
     if frames is None or hold is None or not len(hold):
         raise NumericsError(f"load {record.load.label} of phase {phase.name!r} was held without taking a frame")
-    before = frames.select_interval(_free_from_s(phase, record), record.press_start_s)
+    frames_before = frames.select_interval(_free_from_s(phase, record), record.press_start_s)
     return LoadWindow(
-        before.select(slice(max(len(before) - settings.reference_frames, 0), None)),
+        frames_before.select(slice(max(len(frames_before) - settings.reference_frames, 0), None)),
         frames.select_interval(record.press_start_s, record.rest_end_s),
         hold.select(slice(max(len(hold) - settings.steady_frames, 0), None)),
     )
@@ -73,9 +73,9 @@ def window_of(run: RunObservation, load: LoadObservation) -> LoadWindow:
 
 def _free_from_s(phase: PhaseRecord, record: LoadRecord) -> float:
     """Time when the previous press had left the sheet: after a short rest few frames are unloaded."""
-    every = (*phase.loads, *phase.loops)
+    loads_and_loops = (*phase.loads, *phase.loops)
     return max(
-        (other.release_end_s for other in every if other.release_end_s <= record.press_start_s),
+        (earlier.release_end_s for earlier in loads_and_loops if earlier.release_end_s <= record.press_start_s),
         default=phase.started_s,
     )
 
@@ -89,16 +89,16 @@ def mean_change_under_head(setting: LoadSetting, record: LoadRecord, window: Loa
 
 def observe_load(setting: LoadSetting, phase: PhaseRecord, record: LoadRecord, window: LoadWindow) -> LoadObservation:
     """Analyse one press, also relative to the other reference if residues of earlier loads exceed the noise floor."""
-    imager, before = setting.imager, _image_before(setting, window)
-    residue = float(np.abs(before).max())
+    imager, image_before = setting.imager, _image_before(setting, window)
+    residue = float(np.abs(image_before).max())
     absolute = imager.images(window.steady).mean(axis=0)
-    values = {"run": absolute, "load": absolute - before}
-    chosen = setting.settings.reference
-    other = "load" if chosen == "run" else "run"
-    load = _observe(setting, phase, record, window, values[chosen], residue)
+    values = {"run": absolute, "load": absolute - image_before}
+    reference = setting.settings.reference
+    other_reference = "load" if reference == "run" else "run"
+    load = _observe(setting, phase, record, window, values[reference], residue)
     if residue <= setting.noise_floor:
         return load
-    return replace(load, alternate=_observe(setting, phase, record, window, values[other], residue))
+    return replace(load, alternate=_observe(setting, phase, record, window, values[other_reference], residue))
 
 
 def add_relaxations(
@@ -128,8 +128,8 @@ def _observe(
 ) -> LoadObservation:
     no_force = describe_cell_limit(phase.channel("force"), record)
     force, stderr = (None, None) if no_force else _mean_force(phase.channel("force"), window.steady, record)
-    mesh, pressed = setting.imager.mesh, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
-    others = list_neighbours(setting.indenter, phase, record, float(window.steady.time_s[-1]))
+    mesh, footprint = setting.imager.mesh, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
+    neighbours = list_neighbours(setting.indenter, phase, record, float(window.steady.time_s[-1]))
     signed = setting.response.sign * values
     return LoadObservation(
         phase=phase.name,
@@ -138,13 +138,13 @@ def _observe(
         image=Image(mesh, values),
         response=setting.response,
         noise_floor=setting.noise_floor,
-        masks=mask_views(mesh, signed, setting.noise_floor, setting.settings, pressed, others),
+        masks=mask_views(mesh, signed, setting.noise_floor, setting.settings, footprint, neighbours),
         steady_frames=len(window.steady),
         settled=None,
         force_N=force,
         force_stderr_N=stderr,
         residue=residue,
-        together=1 + len(others),
+        together=1 + len(neighbours),
         no_force=no_force,
     )
 
@@ -164,21 +164,21 @@ def _mean_force(
     if samples is None:
         return None, None
     half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0
-    taken = samples.select_interval(float(steady.time_s[0]) - half_frame, record.release_start_s)
-    if not len(taken):
+    held_samples = samples.select_interval(float(steady.time_s[0]) - half_frame, record.release_start_s)
+    if not len(held_samples):
         return None, None
-    spread = float(np.std(taken.values, ddof=1)) if len(taken) > 1 else 0.0
-    return float(taken.values.mean()), spread / len(taken) ** 0.5
+    spread = float(np.std(held_samples.values, ddof=1)) if len(held_samples) > 1 else 0.0
+    return float(held_samples.values.mean()), spread / len(held_samples) ** 0.5
 
 
 def _is_settled(load: LoadObservation, window: LoadWindow, settings: AnalysisSettings) -> bool | None:
     """Whether the steady frames lie beyond the required multiple of the load's own settling time; None if unknown."""
-    pressed = load.relaxation("conductance", loading=True)
-    if pressed is None or pressed.settling.value_s is None:
+    press_relaxation = load.relaxation("conductance", loading=True)
+    if press_relaxation is None or press_relaxation.settling.value_s is None:
         return None
-    needed_s = settings.settling_multiple * pressed.settling.value_s
+    needed_s = settings.settling_multiple * press_relaxation.settling.value_s
     held_s = float(window.steady.time_s[0]) - load.record.hold_start_s
-    return not pressed.settling.censored and held_s >= needed_s
+    return not press_relaxation.settling.censored and held_s >= needed_s
 
 
 def relaxations_of(
@@ -188,35 +188,38 @@ def relaxations_of(
 
     Parameters
     ----------
-    load : its main mask gives the blob's elements; without a blob there is no conductance trace.
+    load : load whose main mask gives the blob's elements; without a blob there is no conductance trace.
     """
     record, settings, area = load.record, setting.settings, setting.imager.mesh.areas_mm2
     cycle, force = window.cycle, phase.channel("force")
-    seen: list[RelaxationObservation] = []
+    relaxations: list[RelaxationObservation] = []
     images = setting.response.sign * (setting.imager.images(cycle) - _image_before(setting, window))
     view = load.mask(settings.main_mask)
     if view is not None and view.sensed is not None:
         weights = np.zeros(len(area))
         weights[view.sensed.elements] = area[view.sensed.elements]
         blob = Trace("blob conductance change", "1", cycle.time_s, images @ weights / weights.sum())
-        seen += _press_and_release("conductance", blob, record, settings)
-    whole = Trace("mean conductance change of the image", "1", cycle.time_s, images @ area / area.sum())
-    seen += _press_and_release("image", whole, record, settings)
+        relaxations += _press_and_release("conductance", blob, record, settings)
+    whole_trace = Trace("mean conductance change of the image", "1", cycle.time_s, images @ area / area.sum())
+    relaxations += _press_and_release("image", whole_trace, record, settings)
     if force is not None:
-        seen += _stress(force, load.indenter, record, settings)
-    return tuple(seen)
+        relaxations += _stress(force, load.indenter, record, settings)
+    return tuple(relaxations)
 
 
 def _press_and_release(
     signal: str, trace: Trace, record: LoadRecord, settings: AnalysisSettings
 ) -> list[RelaxationObservation]:
-    held = _cut(trace, record.hold_start_s, record.release_start_s)
-    released = _cut(trace, record.unloaded_s, record.rest_end_s)
-    pressed = _fit_trace(signal, held, settings, loaded_change=None, steady=held.end_level)
-    if len(released.time_s) == 0:
-        return [pressed]
-    loaded, start = _steady_change(pressed), relaxation_start(released.values)
-    return [pressed, _fit_trace(signal, released, settings, loaded_change=loaded, steady=loaded, start=start)]
+    held_trace = _cut(trace, record.hold_start_s, record.release_start_s)
+    released_trace = _cut(trace, record.unloaded_s, record.rest_end_s)
+    press_fit = _fit_trace(signal, held_trace, settings, loaded_change=None, steady=held_trace.end_level)
+    if len(released_trace.time_s) == 0:
+        return [press_fit]
+    steady_change, start = _steady_change(press_fit), relaxation_start(released_trace.values)
+    return [
+        press_fit,
+        _fit_trace(signal, released_trace, settings, loaded_change=steady_change, steady=steady_change, start=start),
+    ]
 
 
 def _steady_change(pressed: RelaxationObservation) -> float:
@@ -239,7 +242,7 @@ def _fit_trace(
 
     Parameters
     ----------
-    loaded_change : before a release; None after a press.
+    loaded_change : change under load before a release; None after a press.
     """
     fit = fit_relaxation(
         trace.time_s[start:],
@@ -261,16 +264,16 @@ def _fit_trace(
 def _stress(
     force: SampleBlock, indenter: Indenter, record: LoadRecord, settings: AnalysisSettings
 ) -> list[RelaxationObservation]:
-    taken = force.select_interval(record.hold_start_s, record.release_start_s)
-    if len(taken) < _STRESS_POINTS:
+    held_samples = force.select_interval(record.hold_start_s, record.release_start_s)
+    if len(held_samples) < _STRESS_POINTS:
         return []
-    points = np.array_split(np.arange(len(taken)), _STRESS_POINTS)
-    time_s = np.array([taken.time_s[p].mean() for p in points]) - record.hold_start_s
-    stress_kPa = np.array([taken.values[p].mean() for p in points]) / indenter.area_mm2 * 1e3
+    points = np.array_split(np.arange(len(held_samples)), _STRESS_POINTS)
+    time_s = np.array([held_samples.time_s[p].mean() for p in points]) - record.hold_start_s
+    stress_kPa = np.array([held_samples.values[p].mean() for p in points]) / indenter.area_mm2 * 1e3
     trace = Trace("stress", "kPa", time_s, stress_kPa)
     return [_fit_trace("stress", trace, settings, loaded_change=None, steady=trace.end_level)]
 
 
 def _cut(trace: Trace, start_s: float, end_s: float) -> Trace:
-    inside = (trace.time_s >= start_s) & (trace.time_s < end_s)
-    return Trace(trace.name, trace.unit, trace.time_s[inside] - start_s, trace.values[inside])
+    inside_mask = (trace.time_s >= start_s) & (trace.time_s < end_s)
+    return Trace(trace.name, trace.unit, trace.time_s[inside_mask] - start_s, trace.values[inside_mask])

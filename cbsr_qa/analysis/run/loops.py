@@ -15,7 +15,7 @@ from cbsr_qa.domain.readings.loads import HeldStrain, Indenter, LoadRecord
 from cbsr_qa.domain.results.observation import LoopObservation, Trace
 from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 
-#: The output at the deepest strain must be so many of its own standard errors from zero.
+#: Number of its own standard errors that the output at the deepest strain must be away from zero.
 _CLEAR: Final = 5.0
 _SILENT: Final = "no load stands out of the noise"
 _FRAMELESS: Final = "no frame was taken before the loop, or while a strain was held"
@@ -34,7 +34,7 @@ def observe_loops(
 
     Parameters
     ----------
-    record : of the run, without lost frames.
+    record : record of the run, without lost frames.
     unloaded : frames of the rested sheet, for the noise of each reading.
     usable : (drives, measures) bool, readings to use.
     """
@@ -55,9 +55,9 @@ def deepest(record: LoadRecord) -> HeldStrain:
 
 def deepest_hold(record: LoadRecord) -> LoadRecord:
     """Return a loop as if only its deepest strain had been held."""
-    at = deepest(record)
-    load = replace(record.load, strain=at.strain)
-    return replace(record, load=load, hold_start_s=at.start_s, release_start_s=at.end_s, eased=())
+    hold = deepest(record)
+    load = replace(record.load, strain=hold.strain)
+    return replace(record, load=load, hold_start_s=hold.start_s, release_start_s=hold.end_s, eased=())
 
 
 def _observe(
@@ -74,28 +74,31 @@ def _observe(
     first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
     if phase.frames is None:
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
-    before = _frames_before(phase, phase.frames, first_s, settings.reference_frames)
-    during = phase.frames.select_interval(first_s, last_s)
-    if not len(before) or not all(
-        len(during.select_interval(h.start_s, h.end_s)) for cycle in loops for h in cycle.held
+    frames_before = _frames_before(phase, phase.frames, first_s, settings.reference_frames)
+    frames_during = phase.frames.select_interval(first_s, last_s)
+    if not len(frames_before) or not all(
+        len(frames_during.select_interval(h.start_s, h.end_s)) for cycle in loops for h in cycle.held
     ):
         return _nothing(phase, loops, stress, no_force, _FRAMELESS)
     noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
     scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
-    rows = (during.voltages[:, usable] - before.voltages[:, usable].mean(axis=0)) * scale
-    pattern = _pattern(rows, during.time_s, loops)
+    rows = (frames_during.voltages[:, usable] - frames_before.voltages[:, usable].mean(axis=0)) * scale
+    pattern = _pattern(rows, frames_during.time_s, loops)
     if not pattern.any():
         return _nothing(phase, loops, stress, no_force, _SILENT)
     output = _amplitudes(rows, pattern)
-    deep = np.zeros(len(output), dtype=np.bool_)
+    deepest_mask = np.zeros(len(output), dtype=np.bool_)
     for loop in loops:
-        at = deepest(loop)
-        deep |= (during.time_s >= at.start_s) & (during.time_s < at.end_s)
-    span, spread = float(output[deep].mean()), float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern))
-    why = "" if span > _CLEAR * spread / np.sqrt(deep.sum()) else _SILENT
+        hold = deepest(loop)
+        deepest_mask |= (frames_during.time_s >= hold.start_s) & (frames_during.time_s < hold.end_s)
+    span, spread = (
+        float(output[deepest_mask].mean()),
+        float(np.linalg.norm(noise * scale * pattern) / (pattern @ pattern)),
+    )
+    reason = "" if span > _CLEAR * spread / np.sqrt(deepest_mask.sum()) else _SILENT
     unit = span if span > 0 else 1.0
-    trace = Trace("output", "1", during.time_s, output / unit)
-    return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, why)
+    trace = Trace("output", "1", frames_during.time_s, output / unit)
+    return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, reason)
 
 
 def _nothing(
@@ -108,16 +111,18 @@ def _nothing(
 def _why_no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
     """Report that the cell was at its limit while one of the strains was held."""
     holds = [replace(loop, hold_start_s=h.start_s, release_start_s=h.end_s) for loop in loops for h in loop.held]
-    return next((why for hold in holds if (why := describe_cell_limit(samples, hold))), "")
+    return next((reason for hold in holds if (reason := describe_cell_limit(samples, hold))), "")
 
 
 def _frames_before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:
     """Frames before the first press: all since the sheet was marked rested, or the last few after other presses."""
     rested = phase.unloaded_from_s
-    others = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
-    if rested is not None and not any(rested <= load.press_start_s for load in others):
+    earlier_loads = [load for load in (*phase.loads, *phase.loops) if load.press_start_s < press_s]
+    if rested is not None and not any(rested <= load.press_start_s for load in earlier_loads):
         return frames.select_interval(rested, press_s)
-    frames = frames.select_interval(max((load.release_end_s for load in others), default=phase.started_s), press_s)
+    frames = frames.select_interval(
+        max((load.release_end_s for load in earlier_loads), default=phase.started_s), press_s
+    )
     return frames.select(slice(max(len(frames) - count, 0), None))
 
 
@@ -127,13 +132,13 @@ def _pattern(rows: Array, time_s: Array, loops: tuple[LoadRecord, ...]) -> Array
     A linear drift is fitted too, and outlying holds get little weight (Huber), so that drift or dropout of an
     electrode is not taken for a response.
     """
-    windows = [(held.strain, held.start_s, held.end_s) for loop in loops for held in loop.held]
+    windows = [(hold.strain, hold.start_s, hold.end_s) for loop in loops for hold in loop.held]
     windows += [(0.0, (loop.unloaded_s + loop.rest_end_s) / 2, loop.rest_end_s) for loop in loops]
     medians, strains, times = [], [0.0], [float(time_s[0])]
     for strain, from_s, to_s in windows:
-        inside = (time_s >= from_s) & (time_s < to_s)
-        if inside.any():
-            medians.append(np.median(rows[inside], axis=0))
+        inside_mask = (time_s >= from_s) & (time_s < to_s)
+        if inside_mask.any():
+            medians.append(np.median(rows[inside_mask], axis=0))
             strains.append(strain)
             times.append((from_s + to_s) / 2)
     values = np.vstack([np.zeros(rows.shape[1]), *medians])  # zero, just before the first press
@@ -167,7 +172,7 @@ def _huber(residual: Array, *, axis: int) -> Array:
 def _stress(samples: SampleBlock | None, loops: tuple[LoadRecord, ...], indenter: Indenter) -> Trace | None:
     if samples is None:
         return None
-    taken = samples.select_interval(loops[0].press_start_s, loops[-1].rest_end_s)
-    if not len(taken):
+    samples_of_loops = samples.select_interval(loops[0].press_start_s, loops[-1].rest_end_s)
+    if not len(samples_of_loops):
         return None
-    return Trace("stress", "kPa", taken.time_s, taken.values / indenter.area_mm2 * 1e3)
+    return Trace("stress", "kPa", samples_of_loops.time_s, samples_of_loops.values / indenter.area_mm2 * 1e3)

@@ -57,18 +57,18 @@ def _timeline(setting: LoadSetting, phase: PhaseRecord) -> MetricTimeline:
     metrics = np.full((3, len(masks), len(phase.frames)), np.nan)
     images = setting.response.sign * setting.imager.images(phase.frames)
     for record in phase.loads:
-        held = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
-        for frame in np.flatnonzero(held):
-            others = list_neighbours(setting.indenter, phase, record, float(time_s[frame]))
-            metrics[:, :, frame] = _metrics(setting, images[frame], record, others)
+        held_mask = (time_s >= record.hold_start_s) & (time_s < record.release_start_s)
+        for frame in np.flatnonzero(held_mask):
+            neighbours = list_neighbours(setting.indenter, phase, record, float(time_s[frame]))
+            metrics[:, :, frame] = _metrics(setting, images[frame], record, neighbours)
     return MetricTimeline(phase.name, time_s, masks, metrics[0], metrics[1], metrics[2], phase.channel("force"))
 
 
 def _metrics(setting: LoadSetting, signed: Array, record: LoadRecord, others: list[Footprint]) -> Array:
     """Three metrics of every mask, (3, k); NaN where no blob is seen."""
-    chosen, pressed = setting.settings, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
-    regions = find_sensed_regions(setting.imager.mesh, signed, setting.noise_floor, chosen, pressed, others)
-    metrics = spatial_figures(regions, pressed, clipping=chosen.clipping, perimeter=chosen.perimeter)
+    settings, footprint = setting.settings, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
+    regions = find_sensed_regions(setting.imager.mesh, signed, setting.noise_floor, settings, footprint, others)
+    metrics = spatial_figures(regions, footprint, clipping=settings.clipping, perimeter=settings.perimeter)
     nothing = (np.nan, np.nan, np.nan)
     return np.array([nothing if f is None else (f.error_mm, f.overlap_percent, f.deviation_mm2) for f in metrics]).T
 
@@ -94,11 +94,11 @@ def observe_run(
     unloaded = find_unloaded_frames(data.record)
     for_noise, for_reference = split_unloaded(unloaded, settings.noise_floor_frames)
     check_weighing(reconstruction, type(reconstruction).__name__, settings)
-    problem, silent = linearise_sheet(data, unloaded, settings)
+    problem, silent_remarks = linearise_sheet(data, unloaded, settings)
     answering = drop_weak_polarity(data, unloaded, problem.reference)
     if answering is not data:
         data = answering
-        problem, silent = linearise_sheet(data, unloaded, settings)
+        problem, silent_remarks = linearise_sheet(data, unloaded, settings)
     imager = _imager(problem, for_reference, reconstruction)
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
@@ -109,7 +109,7 @@ def observe_run(
     voting = cut or [(phase, load, load_window(phase, load, settings)) for phase, load in looped]
     undecided = LoadSetting(imager, settings, record.indenter, floor, Response.AUTO)
     signals = [mean_change_under_head(undecided, load, window) for _, load, window in voting]
-    response, how, doubts = decide_response(record.sensor_type.response, signals, floor)
+    response, response_how, doubts = decide_response(record.sensor_type.response, signals, floor)
     setting = replace(undecided, response=response)
     loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
     timelines: tuple[MetricTimeline, ...] = ()
@@ -124,7 +124,7 @@ def observe_run(
         noise_floor=floor,
         noise_images=noise_images,
         response=response,
-        response_how=how,
+        response_how=response_how,
         main_mask=settings.main_mask,
         loads=loads,
         usable=data.readings,
@@ -136,7 +136,7 @@ def observe_run(
     odd = scale_doubts(imager.reference, problem)
     effect = masking_effect(problem)
     lost = () if effect is None else (effect.words(),)
-    return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent, *doubts, *remarks))
+    return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent_remarks, *doubts, *remarks))
 
 
 def _over_time(
@@ -161,27 +161,27 @@ def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:
     """Warnings about loads; about settling only if the recipe gives a multiple of the settling time."""
-    words = []
+    remarks = []
     residual = [load for load in loads if load.alternate is not None]
     if residual:
         worst = max(residual, key=lambda load: load.residue)
-        words.append(
+        remarks.append(
             f"before {len(residual)} of {len(loads)} presses the image still showed earlier loads above the noise"
             f" floor, most clearly before {worst.record.load.label} (phase {worst.phase!r}):"
             " both references are reported there"
         )
     if multiple is None:
-        return tuple(words)
-    early = sum(load.settled is False for load in loads)
-    if early:
-        words.append(
-            f"in {early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
+        return tuple(remarks)
+    n_early = sum(load.settled is False for load in loads)
+    if n_early:
+        remarks.append(
+            f"in {n_early} of {len(loads)} holds the last frames were taken before {multiple:g} settling times had"
             " passed: their images show a sheet that is still relaxing"
         )
     unknown = sum(load.settled is None for load in loads)
     if unknown:
-        words.append(
+        remarks.append(
             f"for {unknown} of {len(loads)} holds no settling time is known (no blob, or no fit): their last frames"
             " may not be settled"
         )
-    return tuple(words)
+    return tuple(remarks)

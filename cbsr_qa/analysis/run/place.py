@@ -23,7 +23,7 @@ from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 
-#: A difference of means counts beyond so many of its standard errors.
+#: Number of its standard errors beyond which a difference of means counts.
 _CLEAR: Final = 2.0
 
 
@@ -33,10 +33,11 @@ class PlaceErrors:
 
     Parameters
     ----------
-    presses : how many.
-    learned_mm, modelled_mm : by what was learned without them, and by the model of the sheet.
-    gain_mm, gain_stderr_mm : by which the former is nearer, mean of the differences; presses at one place count once
-        for its standard error.
+    presses : number of presses.
+    learned_mm, modelled_mm : errors of the place as learned without them, and of the place by the model of the sheet
+        [mm].
+    gain_mm, gain_stderr_mm : mean difference by which the learned place is nearer [mm], and its standard error;
+        presses at one place count once for its standard error.
     """
 
     presses: int
@@ -48,14 +49,14 @@ class PlaceErrors:
     @classmethod
     def from_places(cls, pressed_mm: Array, learned_mm: Array, modelled_mm: Array) -> "PlaceErrors":
         """Errors of places (n, 2) found by both estimates."""
-        learned, modelled = (np.linalg.norm(each - pressed_mm, axis=1) for each in (learned_mm, modelled_mm))
+        learned, modelled = (np.linalg.norm(found_mm - pressed_mm, axis=1) for found_mm in (learned_mm, modelled_mm))
         gain, stderr = mean_by_place(modelled - learned, visits_of(pressed_mm))
         return cls(len(pressed_mm), float(learned.mean()), float(modelled.mean()), gain, stderr)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RunPlace:
-    """What a run's presses taught about place.
+    """Place as learned from a run's presses.
 
     Parameters
     ----------
@@ -79,7 +80,7 @@ class RunPlace:
 
     @property
     def used(self) -> PlaceOfRun | None:
-        """What a calibration keeps; None unless it pays."""
+        """Learned place that a calibration keeps; None unless it pays."""
         if self.learned is None or self.left_out is None or not self.pays:
             return None
         errors = self.left_out
@@ -92,18 +93,18 @@ class RunPlace:
         """The result and its reason in one sentence."""
         if self.left_out is None:
             return f"Place not learned: {self.why}"
-        of, others = self.left_out, self.others
-        at = "" if self.places == of.presses else f" at {self.places} places"
-        words = (
-            f"Place learned from {of.presses} presses{at}: {of.learned_mm:.2g} mm on presses left out, the model of"
-            f" the sheet {of.modelled_mm:.2g} mm (difference {of.gain_mm:+.2g} ± {of.gain_stderr_mm:.1g} mm)"
+        cv, others = self.left_out, self.others
+        at = "" if self.places == cv.presses else f" at {self.places} places"
+        sentence = (
+            f"Place learned from {cv.presses} presses{at}: {cv.learned_mm:.2g} mm on presses left out, the model of"
+            f" the sheet {cv.modelled_mm:.2g} mm (difference {cv.gain_mm:+.2g} ± {cv.gain_stderr_mm:.1g} mm)"
         ).replace("-", "−")
         if others is not None:
-            words += f"; {others.learned_mm:.2g} and {others.modelled_mm:.2g} mm on {others.presses} other loads"
+            sentence += f"; {others.learned_mm:.2g} and {others.modelled_mm:.2g} mm on {others.presses} other loads"
         if self.pays:
-            return f"{words}: clearly nearer, so a calibration uses it"
-        better = of.gain_mm < -_CLEAR * of.gain_stderr_mm
-        return f"{words}: not used, the model is {'better' if better else 'as good'}"
+            return f"{sentence}: clearly nearer, so a calibration uses it"
+        better = cv.gain_mm < -_CLEAR * cv.gain_stderr_mm
+        return f"{sentence}: not used, the model is {'better' if better else 'as good'}"
 
 
 def run_place(run: RunObservation) -> RunPlace:
@@ -126,30 +127,36 @@ def _learn_and_compare(run: RunObservation, force: RunForce) -> RunPlace:
         raise CalibrationError(f"there is no force model, whose templates locate otherwise: {force.why}")
     loads, data = force_loads(run)
     calibrating = np.array([load.phase in run.settings.calibrate_phases for load in loads])
-    used = calibrating.copy()
-    used[calibrating] = [not why for why in force.learned.refused]
-    places = len(np.unique(data.place_mm[used], axis=0))
+    used_mask = calibrating.copy()
+    used_mask[calibrating] = [not refusal for refusal in force.learned.refused]
+    places = len(np.unique(data.place_mm[used_mask], axis=0))
     if places < FEWEST_PRESSES:
         raise CalibrationError(f"the loads that calibrate are at {places} places; {FEWEST_PRESSES} are needed")
     merging, finder = force.learned.model.merging, TemplateFilter(force.learned.model)
     rows, _ = data.subtract_residues()
     time_s = np.array([load.record.hold_start_s for load in loads])
-    learned = _learn_from_readings(run, row_readings(rows[used], merging), data.place_mm[used], time_s[used])
+    learned = _learn_from_readings(
+        run, row_readings(rows[used_mask], merging), data.place_mm[used_mask], time_s[used_mask]
+    )
     modelled = finder.search(rows)
-    presses = np.flatnonzero(used)[learned.held_out.presses]
-    left_out = PlaceErrors.from_places(data.place_mm[presses], learned.held_out.found_mm, modelled.place_mm[presses])
+    presses = np.flatnonzero(used_mask)[learned.held_out.presses]
+    left_out_errors = PlaceErrors.from_places(
+        data.place_mm[presses], learned.held_out.found_mm, modelled.place_mm[presses]
+    )
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
-    others = ~calibrating & np.array([load.phase in spread for load in loads])
-    found = _others(data, others, finder, PressedPlace(learned.model, merging)) if others.any() else None
-    return RunPlace(learned, places=places, left_out=left_out, others=found)
+    others_mask = ~calibrating & np.array([load.phase in spread for load in loads])
+    other_errors = (
+        _others(data, others_mask, finder, PressedPlace(learned.model, merging)) if others_mask.any() else None
+    )
+    return RunPlace(learned, places=places, left_out=left_out_errors, others=other_errors)
 
 
 def _others(data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed: PressedPlace) -> PlaceErrors:
     """Errors of loads located as the calibration in use locates them."""
     rows = data.subtract_residues()[0][which]
     modelled = finder.search(rows)
-    found = pressed(rows, modelled, modelled, finder)
-    return PlaceErrors.from_places(data.place_mm[which], found.place_mm, modelled.place_mm)
+    matches = pressed(rows, modelled, modelled, finder)
+    return PlaceErrors.from_places(data.place_mm[which], matches.place_mm, modelled.place_mm)
 
 
 def _learn_from_readings(run: RunObservation, readings: Array, place_mm: Array, time_s: Array) -> PlaceLearned:
@@ -168,12 +175,12 @@ def _learn_from_readings(run: RunObservation, readings: Array, place_mm: Array, 
 
 def _row_pairs(run: RunObservation) -> Indices:
     """Pairs (r, 4) of the rows, source, sink, plus and minus: of the first reading of each group of equal ones."""
-    pattern, used = run.record.sensor_type.pattern, run.usable
-    groups, signs = (each[used] for each in pattern.reading_groups())
-    _, first = np.unique(groups, return_index=True)
-    drive, measure = (each[first] for each in np.nonzero(used))
+    pattern, used_mask = run.record.sensor_type.pattern, run.usable
+    groups, signs = (indices[used_mask] for indices in pattern.reading_groups())
+    _, first_of_group = np.unique(groups, return_index=True)
+    drive, measure = (indices[first_of_group] for indices in np.nonzero(used_mask))
     pairs = [
         (*pattern.drive[d], *(pattern.measure[m] if sign > 0 else pattern.measure[m][::-1]))
-        for d, m, sign in zip(drive, measure, signs[first], strict=True)
+        for d, m, sign in zip(drive, measure, signs[first_of_group], strict=True)
     ]
     return np.array(pairs, dtype=np.int64)

@@ -23,7 +23,7 @@ from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import reading_noise
 from cbsr_qa.plugin.interfaces import Reconstruction
 
-#: A frame with a larger share of its imaged readings flagged is lost as a whole.
+#: Share of flagged readings among the imaged ones above which a frame is lost as a whole.
 _LOST_SHARE = 0.25
 #: Channels are left out until at most this share of the frames is still affected by a flag.
 _TOUCHED_SHARE = 0.01
@@ -34,7 +34,7 @@ _LAST_FRAMES = 8  # of a run, in which a reading that stopped changing does not 
 def find_unloaded_frames(record: RunRecord) -> FrameBlock:
     """Frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
 
-    NumericsError if the run has none.
+    Raise NumericsError if the run has none.
     """
     for phase in record.phases:
         frames = _select_unloaded(phase)
@@ -64,7 +64,7 @@ class UsableData:
     Parameters
     ----------
     record : the run without lost frames, offsets taken out, spikes replaced by their neighbours in time.
-    corrected : the same with all frames.
+    corrected : the corrected record with all frames.
     readings : (drives, measures) bool, fit for imaging in every remaining frame.
     warnings : a sentence for every kind of reading or frame left out, beyond those of the pattern.
     """
@@ -88,75 +88,80 @@ def usable_data(record: RunRecord) -> UsableData:
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
     flagged = ((frames.flags & UNUSABLE) != 0) & pattern
-    lost = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
-    left_out = _choose_flagged_channels(flagged[~lost])
-    lost |= (flagged & ~left_out).any(axis=(1, 2))
-    kept = frames.select(~lost)
-    stuck = _find_stuck(kept, pattern) & pattern & ~left_out
-    silent, said = _find_silent_readings(kept, pattern & ~left_out & ~stuck, record.sensor_type.pattern)
-    readings = pattern & ~left_out & ~stuck & ~silent
-    voltages, offsets = _remove_offsets(kept.voltages, readings)
+    lost_mask = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
+    left_out_mask = _choose_flagged_channels(flagged[~lost_mask])
+    lost_mask |= (flagged & ~left_out_mask).any(axis=(1, 2))
+    kept_frames = frames.select(~lost_mask)
+    stuck_mask = _find_stuck(kept_frames, pattern) & pattern & ~left_out_mask
+    silent, silent_remarks = _find_silent_readings(
+        kept_frames, pattern & ~left_out_mask & ~stuck_mask, record.sensor_type.pattern
+    )
+    readings = pattern & ~left_out_mask & ~stuck_mask & ~silent
+    voltages, offsets = _remove_offsets(kept_frames.voltages, readings)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
         voltages, spikes = remove_spikes(voltages, readings, counts=False)
-    words = [
+    remarks = [
         f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {name_readings(channels)}"
-        for channels, why in ((left_out, "saturated or missing in many frames"), (stuck, "stuck at one value"))
+        for channels, why in (
+            (left_out_mask, "saturated or missing in many frames"),
+            (stuck_mask, "stuck at one value"),
+        )
         if channels.any()
     ]
-    words += [*said, *offset_words(offsets, kept.time_s, kept.unit.value)]
+    remarks += [*silent_remarks, *offset_words(offsets, kept_frames.time_s, kept_frames.unit.value)]
     if spikes.any():
         spiky = int(spikes.any(axis=(1, 2)).sum())
-        words.append(
+        remarks.append(
             f"{int(spikes.sum())} readings in {spiky} frames jumped and their reciprocals did not: they were replaced"
             " by their neighbours in time"
         )
-    if lost.any():
-        words.append(f"{int(lost.sum())} of {len(frames)} frames are excluded: they have missing readings")
+    if lost_mask.any():
+        remarks.append(f"{int(lost_mask.sum())} of {len(frames)} frames are excluded: they have missing readings")
     corrected = record
     if offsets or spikes.any():
-        every = frames.voltages.copy()
-        every[~lost] = voltages
-        corrected = _with(record, every, frames.time_s[:0])
-    if offsets or spikes.any() or lost.any():
-        record = _with(record, voltages, frames.time_s[lost])
-    return UsableData(record, corrected, readings, tuple(words))
+        all_voltages = frames.voltages.copy()
+        all_voltages[~lost_mask] = voltages
+        corrected = _with(record, all_voltages, frames.time_s[:0])
+    if offsets or spikes.any() or lost_mask.any():
+        record = _with(record, voltages, frames.time_s[lost_mask])
+    return UsableData(record, corrected, readings, tuple(remarks))
 
 
 def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
     if not len(kept):
         return np.zeros_like(pattern)
     constant = np.ptp(kept.voltages, axis=0) == 0
-    still = constant if not constant[pattern].all() else np.zeros_like(pattern)
-    # What varies again is not left out: a reading without noise in a stretch is weighed like a common one.
+    constant_mask = constant if not constant[pattern].all() else np.zeros_like(pattern)
+    # A reading that varies again is kept: if it has no noise in some stretch, it is weighed like a common one.
     ends_still = np.ptp(kept.voltages[-_LAST_FRAMES:], axis=0) == 0
-    stuck: NDArray[np.bool_] = still | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
+    stuck: NDArray[np.bool_] = constant_mask | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
     return stuck
 
 
 def _find_silent_readings(
     kept: FrameBlock, sound: NDArray[np.bool_], pattern: DrivePattern
 ) -> tuple[NDArray[np.bool_], list[str]]:
-    """Readings (drives, measures) through electrodes without contact and by dead drives, and what is said of them."""
+    """Return readings (drives, measures) of electrodes without contact and of dead drives, and remarks on them."""
     if not len(kept):
         return np.zeros_like(sound), []
     frame = np.median(kept.voltages, axis=0)
     opened = open_electrodes(frame, sound, pattern)
-    silent = pattern.touching(opened)
-    words = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
+    silent_mask = pattern.touching(opened)
+    remarks = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
     if pattern.drive == pattern.measure:
-        dead = find_dead_drives(frame, sound & ~silent)
-        silent[[each.drive for each in dead]] = True
-        words += [each.words(kept.unit.value) for each in dead]
-    return silent, words
+        dead = find_dead_drives(frame, sound & ~silent_mask)
+        silent_mask[[dead_drive.drive for dead_drive in dead]] = True
+        remarks += [dead_drive.words(kept.unit.value) for dead_drive in dead]
+    return silent_mask, remarks
 
 
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
     if len(voltages) < 2 or not readings.any():
         return voltages, ()
-    used = voltages[:, readings]
-    offsets = find_offsets(used, channel_noise(used, counts=False))
+    used_voltages = voltages[:, readings]
+    offsets = find_offsets(used_voltages, channel_noise(used_voltages, counts=False))
     return (subtract_offsets(voltages, offsets), offsets) if offsets else (voltages, ())
 
 
@@ -166,7 +171,7 @@ def drop_weak_polarity(data: UsableData, unloaded: FrameBlock, modelled: Array) 
     Parameters
     ----------
     unloaded : frames of the unloaded sheet.
-    modelled : (m,) of the usable readings.
+    modelled : (m,) modelled values of the usable readings.
     """
     side = answering_levels(unloaded.voltages.mean(axis=0)[data.readings], modelled)
     if side is None or not side.words:
@@ -178,25 +183,25 @@ def drop_weak_polarity(data: UsableData, unloaded: FrameBlock, modelled: Array) 
 
 def _choose_flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay affected."""
-    left_out = np.zeros(flagged.shape[1:], dtype=np.bool_)
+    left_out_mask = np.zeros(flagged.shape[1:], dtype=np.bool_)
     allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
-    while (flagged & ~left_out).any(axis=(1, 2)).sum() > allowed:
-        counts = np.where(left_out, 0, flagged.sum(axis=0))
-        left_out |= counts == counts.max()
-    return left_out
+    while (flagged & ~left_out_mask).any(axis=(1, 2)).sum() > allowed:
+        counts = np.where(left_out_mask, 0, flagged.sum(axis=0))
+        left_out_mask |= counts == counts.max()
+    return left_out_mask
 
 
 def _with(record: RunRecord, voltages: Array, lost_s: Array) -> RunRecord:
     """Return the run with only its kept frames, their readings replaced."""
-    phases, first = list[PhaseRecord](), 0
+    phases, first_frame = list[PhaseRecord](), 0
     for phase in record.phases:
         if phase.frames is None:
             phases.append(phase)
             continue
         frames = phase.frames.select(~np.isin(phase.frames.time_s, lost_s))
-        last = first + len(frames)
-        phases.append(replace(phase, frames=replace(frames, voltages=voltages[first:last])))
-        first = last
+        end_frame = first_frame + len(frames)
+        phases.append(replace(phase, frames=replace(frames, voltages=voltages[first_frame:end_frame])))
+        first_frame = end_frame
     return replace(record, phases=tuple(phases))
 
 
@@ -253,17 +258,17 @@ def linearise_sheet(
     NumericsError
         If the readings' noise cannot be estimated from those frames (:func:`reading_noise`), or too few are usable.
     """
-    sensor_type, used = data.record.sensor_type, data.readings
+    sensor_type, used_mask = data.record.sensor_type, data.readings
     if settings.noise_weighting == "equal":
-        return imaging_problem(sensor_type, used=used), ()
-    noise = reading_noise(unloaded.voltages[:, used], unloaded.time_s)
-    problem = imaging_problem(sensor_type, used=used, noise_variance=noise.variance)
+        return imaging_problem(sensor_type, used=used_mask), ()
+    noise = reading_noise(unloaded.voltages[:, used_mask], unloaded.time_s)
+    problem = imaging_problem(sensor_type, used=used_mask, noise_variance=noise.variance)
     if not noise.silent.any():
         return problem, ()
-    silent = np.zeros_like(used)
-    silent[used] = noise.silent
-    words = (
-        f"{int(silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
-        f" and a typical value is used for them: {name_readings(silent)}"
+    is_silent = np.zeros_like(used_mask)
+    is_silent[used_mask] = noise.silent
+    remark = (
+        f"{int(is_silent.sum())} readings are the same in all {len(unloaded)} unloaded frames: their noise is unknown"
+        f" and a typical value is used for them: {name_readings(is_silent)}"
     )
-    return problem, (words,)
+    return problem, (remark,)

@@ -12,7 +12,7 @@ from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.eit.imaging.blobs import nearest_blob
 from cbsr_qa.eit.imaging.contours import contour_regions
 
-#: Smaller slopes are called flat: a target of twice the area then has a region less than 19 % larger.
+#: Slope below which the response is flat: a target of twice the area then has a region less than 19 % larger.
 FLAT: Final = 0.25
 #: Diameters of the targets, relative to the head's: 8, 13 and 20 mm for the 13 mm head.
 RELATIVE_DIAMETERS: Final = (8 / 13, 1.0, 20 / 13)
@@ -27,8 +27,8 @@ class SizeResponse:
 
     Parameters
     ----------
-    diameters_mm : of the targets, rising.
-    areas_mm2 : of each one's region, or None.
+    diameters_mm : diameters of the targets, rising [mm].
+    areas_mm2 : area of each one's region [mm²], or None.
     """
 
     place: str
@@ -39,12 +39,12 @@ class SizeResponse:
     def slope(self) -> float | None:
         """Slope of the region's log area over the target's: 1 if proportional, 0 if the size makes no difference.
 
-        None with fewer than two regions.
+        Return None with fewer than two regions.
         """
-        seen = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
-        if len(seen) < 2:
+        measured = [(d, a) for d, a in zip(self.diameters_mm, self.areas_mm2, strict=True) if a is not None]
+        if len(measured) < 2:
             return None
-        diameters, areas = np.array(seen).T
+        diameters, areas = np.array(measured).T
         return float(np.polyfit(2 * np.log(diameters), np.log(areas), 1)[0])
 
     @property
@@ -65,7 +65,7 @@ def size_response(
 
     Parameters
     ----------
-    head_diameter_mm : of the indenter; targets have :data:`RELATIVE_DIAMETERS` of it.
+    head_diameter_mm : diameter of the indenter [mm]; targets have :data:`RELATIVE_DIAMETERS` of it.
     mask : fraction of the image's maximum, below 1; regions are bounded by its contour.
 
     Returns
@@ -84,8 +84,8 @@ def size_response(
     centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT * problem.sensor_type.radius_mm
     places = (("centre", centre), (f"{out_mm:.3g} mm out", (centre[0] + out_mm, centre[1])))
     responses = tuple(
-        SizeResponse(words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
-        for words, place in places
+        SizeResponse(place_words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
+        for place_words, place in places
         if _on_sheet(problem, place, diameters[-1])
     )
     if not responses:

@@ -34,9 +34,9 @@ from cbsr_qa.system.words import echo
 _MOST_SCALE: Final = 1.5
 #: Correlation of the frames. Two rods in a tank leave 0.98; a chest against a tank, by one instrument, has 0.85.
 _LEAST_ALIKE: Final = 0.9
-#: Difference of the offsets of counts, in sizes of the readings.
+#: Largest difference of the offsets of counts, relative to the size of the readings.
 _MOST_OFFSET: Final = 0.5
-#: The same drive current, as far as it is stated.
+#: Tolerance within which two stated drive currents are the same.
 _SAME_CURRENT: Final = 0.1
 
 _REMEDY: Final = "name a recording of the same domain, empty, by the same instrument with the same settings"
@@ -47,7 +47,7 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
 
     Parameters
     ----------
-    recording, empty : as read by their formats.
+    recording, empty : recordings as read by their formats.
 
     Raises
     ------
@@ -55,14 +55,14 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
         If instrument or scale differ, so that every reading would have "changed".
     """
     name = f"{empty.path.name}:{empty.dataset}" if empty.dataset else empty.path.name
-    why = _difference(recording, empty)
-    if why:
-        raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {why}", remedy=_REMEDY)
-    noted = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
+    difference = _difference(recording, empty)
+    if difference:
+        raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {difference}", remedy=_REMEDY)
+    reference_problems = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
     return replace(
         recording,
         reference=empty.frames,
-        problems=(*recording.problems, *noted),
+        problems=(*recording.problems, *reference_problems),
         notes=(*recording.notes, f"changes are against {'the mean of ' if len(empty.frames) > 1 else ''}{name}"),
         simulated=(*recording.simulated, *(f"in the reference {name}: {what}" for what in empty.simulated)),
     )
@@ -70,11 +70,11 @@ def with_reference(recording: Recording, empty: Recording) -> Recording:
 
 def _difference(recording: Recording, empty: Recording) -> str:
     """Return why two recordings cannot be compared; empty if they can."""
-    own, other = recording.frames, empty.frames
-    if other.voltages.shape[1:] != own.voltages.shape[1:] or empty.scan is not recording.scan:
+    own_frames, empty_frames = recording.frames, empty.frames
+    if empty_frames.voltages.shape[1:] != own_frames.voltages.shape[1:] or empty.scan is not recording.scan:
         return f"its frames are {_shape(empty)}, not {_shape(recording)}"
-    if other.unit is not own.unit:
-        return f"its readings are in {other.unit.value}, not in {own.unit.value}"
+    if empty_frames.unit is not own_frames.unit:
+        return f"its readings are in {empty_frames.unit.value}, not in {own_frames.unit.value}"
     if empty.magnitudes_only is not recording.magnitudes_only:
         held = {True: "absolute values", False: "values with their sign"}
         return f"it holds {held[empty.magnitudes_only]}, not {held[recording.magnitudes_only]}"
@@ -101,24 +101,28 @@ def _scale_difference(recording: Recording, empty: Recording) -> str:
     """Compare level, size and pattern of the typical frames, over the readings they share."""
     missing = ReadingFlag.MISSING.value
     held = ((recording.frames.flags & missing) == 0).any(axis=0) & ((empty.frames.flags & missing) == 0).any(axis=0)
-    own, other = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
-    if own.size == 0:
+    own_readings, empty_readings = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
+    if own_readings.size == 0:
         return "they have no reading in common"
     offset, other_offset = (
-        (0.0, 0.0) if recording.magnitudes_only else (float(np.median(own)), float(np.median(other)))
+        (0.0, 0.0)
+        if recording.magnitudes_only
+        else (float(np.median(own_readings)), float(np.median(empty_readings)))
     )
-    size, other_size = _size(own - offset), _size(other - other_offset)
+    size, other_size = _size(own_readings - offset), _size(empty_readings - other_offset)
     if size == 0.0:
         return ""  # an unconnected recording is refused as such
     if other_size == 0.0:
-        return f"all its readings are {other[0]:.4g} {empty.frames.unit.value}: nothing was connected"
+        return f"all its readings are {empty_readings[0]:.4g} {empty.frames.unit.value}: nothing was connected"
     if not 1 / _MOST_SCALE <= other_size / size <= _MOST_SCALE:
         return f"its readings are {other_size / size:.3g} times as large"
     if abs(other_offset - offset) > _MOST_OFFSET * max(size, other_size):
         unit = recording.frames.unit.value
         return f"its readings lie about {other_offset:.4g} {unit}, not {offset:.4g} {unit}"
-    alike = float((own - offset) @ (other - other_offset)) / (size * other_size * own.size)
-    return "" if alike >= _LEAST_ALIKE else f"its readings have another pattern (correlation {alike:.2f})"
+    correlation = float((own_readings - offset) @ (empty_readings - other_offset)) / (
+        size * other_size * own_readings.size
+    )
+    return "" if correlation >= _LEAST_ALIKE else f"its readings have another pattern (correlation {correlation:.2f})"
 
 
 def _size(readings: Array) -> float:
@@ -140,7 +144,7 @@ class AnalyseRequest:
     dataset : one of several data sets in a file.
     reference : file, and a data set in it, with the unloaded domain; its format is recognised separately.
     correct_carry_over : None to decide by the estimate.
-    report : whether to write one.
+    report : whether to write a report.
     reconstruction, options : plugin that images the events (None for the usual one), and its options.
     """
 
@@ -177,25 +181,25 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
         return _build_outcome(path, recording, reconstruction, request, plugins, datasets, tell)
     except CbsrError as error:
         problems = error.problems if isinstance(error, RecordingError) else ()
-        read = (
+        read_recording = (
             ReadRecording.from_problems(name, problems)
             if recording is None
             else ReadRecording.from_recording(recording)
         )
-        return Analysed(path, read, {}, datasets=datasets or None).with_refusal(error)
+        return Analysed(path, read_recording, {}, datasets=datasets or None).with_refusal(error)
 
 
 def _reconstruction(request: AnalyseRequest, plugins: Plugins) -> Reconstruction:
     """Create the reconstruction; its errors do not name the file."""
-    where = "--option" if request.options else "--reconstruction"
+    option_name = "--option" if request.options else "--reconstruction"
     try:
-        reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, where)
+        reconstruction: Reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, request.chosen, option_name)
     except PluginError as error:
         raise PluginError(
-            f"--reconstruction: {error.reason.removeprefix(f'{where}: ')}", remedy=error.remedy
+            f"--reconstruction: {error.reason.removeprefix(f'{option_name}: ')}", remedy=error.remedy
         ) from error
     except NumericsError as error:
-        raise ConfigError(f"{where}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
+        raise ConfigError(f"{option_name}: {request.chosen.name}: {error.reason}", remedy=error.remedy) from error
     return reconstruction
 
 
@@ -240,7 +244,7 @@ def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell 
     RecordingError
         If they hold no signal of a sensor, or do not fit the sensor type.
     CbsrError
-        As the analysis of a file is refused.
+        For the same reasons as the analysis of a file.
     """
     reconstruction = _reconstruction(request, discover())
     _check_shape(recording, _sensor_type(recording, request)[0])
@@ -264,13 +268,13 @@ def _check_shape(recording: Recording, sensor_type: SensorType | None) -> None:
     """Refuse frames in memory that are not those of the sensor type, or without one not of a ring of electrodes."""
     shape = recording.frames.voltages.shape[1:]
     if sensor_type is not None and shape != sensor_type.pattern.shape:
-        expected = f"those of sensor type {sensor_type.name!r} are {sensor_type.pattern.shape}"
+        expected_shapes = f"those of sensor type {sensor_type.name!r} are {sensor_type.pattern.shape}"
     elif sensor_type is None and shape[0] != shape[1]:
-        expected = "without a sensor type, as many measure pairs as drive pairs are expected"
+        expected_shapes = "without a sensor type, as many measure pairs as drive pairs are expected"
     else:
         return
     raise RecordingError(
-        f"{recording.path.name} has frames of {shape}: drive pairs, measure pairs; {expected}",
+        f"{recording.path.name} has frames of {shape}: drive pairs, measure pairs; {expected_shapes}",
         remedy="give whole frames, NaN for readings that were not measured, or the sensor type that was recorded",
     )
 
@@ -307,10 +311,10 @@ def _report(
 ) -> tuple[Path | None, list[str]]:
     if not request.report:
         return None, []
-    sections, missing = report_sections((), plugins)
+    sections, warnings = report_sections((), plugins)
     file = reports_folder() / report_name(path.stem, result.recording.dataset, _request_digest(path, request))
-    write_report(file, render_recording(result, sections, warnings=missing))
-    return file, missing
+    write_report(file, render_recording(result, sections, warnings=warnings))
+    return file, warnings
 
 
 def _request_digest(path: Path, request: AnalyseRequest) -> str:
@@ -320,8 +324,8 @@ def _request_digest(path: Path, request: AnalyseRequest) -> str:
         with open_foreign(each) as file:
             sha.update(hashlib.file_digest(file, "sha256").digest())
     dataset = None if request.reference is None else request.reference[1]
-    asked: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
+    settings: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
     if request.reconstruction is not None or request.options:
-        asked = (*asked, request.chosen.name, sorted(request.options.items()))
-    sha.update(repr(asked).encode())
+        settings = (*settings, request.chosen.name, sorted(request.options.items()))
+    sha.update(repr(settings).encode())
     return sha.hexdigest()[:8]

@@ -52,7 +52,7 @@ class ReadRecording:
 
     Parameters
     ----------
-    sensor_type : that was given, else the one that the file states.
+    sensor_type : sensor type that was given, else the one that the file states.
     problems : rows left out, or used with reservations.
     loads_documented : presses that the file states.
     """
@@ -221,9 +221,10 @@ class Noise:
     @classmethod
     def from_noise_report(cls, noise: NoiseReport, recording: Recording) -> Self:
         """Return what a document says of it; steps with the first frame after each."""
-        after = np.searchsorted(recording.frames.time_s, [step.time_s for step in noise.steps], side="right")
+        frames_after = np.searchsorted(recording.frames.time_s, [step.time_s for step in noise.steps], side="right")
         steps = (
-            fill_from_object(Step, one, first_frame_after=int(n)) for one, n in zip(noise.steps, after, strict=True)
+            fill_from_object(Step, one, first_frame_after=int(n))
+            for one, n in zip(noise.steps, frames_after, strict=True)
         )
         return fill_from_object(cls, noise, steps=tuple(steps))
 
@@ -235,8 +236,8 @@ class Analysed:
     Parameters
     ----------
     channels : empty if nothing could be analysed.
-    datasets : if the file holds several.
-    compute_s : by stage.
+    datasets : datasets of the file, if it holds several.
+    compute_s : computing time by stage [s].
     """
 
     file: Path

@@ -70,7 +70,7 @@ class FrameForce:
 
     Parameters
     ----------
-    settled_in_s : until the force counts, 0 where it does; None where that is not known.
+    settled_in_s : time until the force counts [s], 0 where it does; None where that is not known.
     """
 
     time_s: float | None
@@ -93,10 +93,10 @@ class ApplyRequest:
 
     Parameters
     ----------
-    place_mm : of the touch; None to estimate it.
-    format, dataset : of the recordings; None as detected.
+    place_mm : place of the touch [mm]; None to estimate it.
+    format, dataset : format and dataset of the recordings; None as detected.
     reference : number of first frames of a recording that are of the unloaded sheet.
-    serial : of the recorded sensor, if it is stated.
+    serial : serial number of the recorded sensor, if it is stated.
     pattern : pairs of the columns of a table of readings; None for recordings.
     differences : whether the readings are changes; else they are frames, compared with those of ``rest``, with the
         ``reference`` first ones, or with the calibration's unloaded frame. Faults of pairs, electrodes and clipping
@@ -186,16 +186,16 @@ def follow_recording(estimator: Estimator, recording: Recording, request: ApplyR
         If the calibration lacks what is asked for, or an unloaded frame to compare with.
     """
     estimator.check_recording(recording)
-    rest = None
+    rest_frames = None
     if request.rest is not None:
         require_ability(estimator, Ability.READINGS)
         require_ability(estimator, Ability.FRAMES)
         assert estimator.pattern is not None
-        rest = read_whole_frames(request.rest, estimator.pattern)
+        rest_frames = read_whole_frames(request.rest, estimator.pattern)
     return estimator.follow(
         recording.path.name,
         recording.frames,
-        UnloadedFrames(request.reference, rest, request.differences),
+        UnloadedFrames(request.reference, rest_frames, request.differences),
         timed=is_increasing(recording.frames.time_s),
         place_mm=request.place_mm,
     )
@@ -203,16 +203,20 @@ def follow_recording(estimator: Estimator, recording: Recording, request: ApplyR
 
 def _serial_remarks(estimator: Estimator, stated: str | None) -> tuple[str, ...]:
     """Remark that a recording's sensor is unknown, unless it was stated."""
-    own = estimator.identity.serial
+    calibrated_serial = estimator.identity.serial
     if stated is None:
         why = "recordings state no serial number; --serial states it"
-        return (f"not checked: that it is of sensor {own}, as the calibration is ({why})",) if own else ()
+        return (
+            (f"not checked: that it is of sensor {calibrated_serial}, as the calibration is ({why})",)
+            if calibrated_serial
+            else ()
+        )
     check_serial(estimator, stated)
     return ()
 
 
 def check_serial(estimator: Estimator, stated: str) -> None:
-    """Check that a calibration is of a sensor. CalibrationError if not, or if it states none."""
+    """Check that a calibration is of a sensor. Raise CalibrationError if not, or if it states none."""
     require_ability(estimator, Ability.SERIAL, "leave --serial out: of which sensor it is cannot be checked")
     if validate_serial(stated) != estimator.identity.serial:
         raise CalibrationError(
@@ -228,9 +232,9 @@ def is_increasing(time_s: Array) -> bool:
 
 def _estimate_frames(sequence: FrameSequence, recording: Recording, tell: Tell) -> Iterator[FrameForce]:
     count = len(recording.frames)
-    for first in range(0, count, _AT_ONCE):
-        tell(f"{recording.path.name}: frames {first + 1} to {min(first + _AT_ONCE, count)} of {count}")
-        frames = recording.frames.select(slice(first, first + _AT_ONCE))
+    for first_frame in range(0, count, _AT_ONCE):
+        tell(f"{recording.path.name}: frames {first_frame + 1} to {min(first_frame + _AT_ONCE, count)} of {count}")
+        frames = recording.frames.select(slice(first_frame, first_frame + _AT_ONCE))
         yield from _list_forces(frames.time_s, sequence.estimate(frames))
 
 
@@ -269,12 +273,12 @@ def apply_outcome(applied: AppliedCalibration, output: Path | None) -> CommandOu
     ----------
     output : CSV file that was written; None for tables.
     """
-    good = [recording for recording in applied.recordings if recording.error is None]
-    frames = sum(len(recording.frames) for recording in good)
-    reason = f"{plural(frames, 'frame')} of {plural(len(good), 'recording')}"
+    estimated = [recording for recording in applied.recordings if recording.error is None]
+    frames = sum(len(recording.frames) for recording in estimated)
+    reason = f"{plural(frames, 'frame')} of {plural(len(estimated), 'recording')}"
     printed = () if output is None else (("Forces", str(output)),)
-    sections = () if output else tuple(Section(recording.file.name, (_table(recording),)) for recording in good)
-    remarks = tuple(f"{recording.file.name}: {remark}" for recording in good for remark in recording.remarks)
+    sections = () if output else tuple(Section(recording.file.name, (_table(recording),)) for recording in estimated)
+    remarks = tuple(f"{recording.file.name}: {remark}" for recording in estimated for remark in recording.remarks)
     outcome = answer(applied, "applied", reason, printed=printed)
     return replace(
         outcome, page=replace(outcome.page, remarks=remarks), sections=sections, exit_code=applied.exit_code
@@ -288,15 +292,19 @@ _SETTLED: Final = "A force that has not settled is predicted; rely on it after t
 def _table(recording: Applied) -> Table:
     """Tabulate some frames of a recording, evenly spread."""
     count = len(recording.frames)
-    chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
+    frame_numbers = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
     rows = []
-    for frame in (recording.frames[n] for n in chosen):
+    for frame in (recording.frames[n] for n in frame_numbers):
         force = "–" if frame.force_N is None else with_uncertainty(frame.force_N, frame.stderr_N)
         time, x, y = (
             "–" if value is None else format_fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm)
         )
         rows.append((time, force, x, y, frame.flags, _format_settling(frame)))
-    spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
+    spread = (
+        ""
+        if len(frame_numbers) == count
+        else f"{len(frame_numbers)} of {count} frames, evenly spread; --output has all. "
+    )
     caption = f"{spread}Force with one standard error, and where the head presses. {_SETTLED}"
     return text_table(caption, _HEADINGS, rows, (0, 1, 2, 3, 5))
 
@@ -308,6 +316,6 @@ def _format_settling(frame: FrameForce) -> str:
 
 
 def write_table(path: Path, table: str) -> None:
-    """Write a table to a new file. RefusedError if the file exists already, or cannot be written."""
+    """Write a table to a new file. Raise RefusedError if the file exists already, or cannot be written."""
     check_free(path)
     write_text(path, table)

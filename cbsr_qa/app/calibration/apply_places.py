@@ -32,7 +32,8 @@ class ByTheModel:
     Parameters
     ----------
     explained : share of the readings' squares that a touch there explains, noise taken off where it is known.
-    in_model : whether that is enough, and the registration trusted; else the place is not to be relied on.
+    in_model : whether the model explains enough, and the registration is trusted; else the place is not to be relied
+        on.
     """
 
     x_mm: float | None
@@ -54,7 +55,7 @@ class FramePlace:
     force_N, depth_mm : None where it was not learned, or no press is detected.
     force_68_N, force_95_N, depth_68_mm, depth_95_mm : lowest and highest of the interval that holds it with that
         probability.
-    modelled : by the modelled sheet; None where the calibration does not hold it.
+    modelled : place found with the modelled sheet; None where the calibration does not hold it.
     """
 
     x_mm: float | None
@@ -134,9 +135,12 @@ def _estimate_recording(estimator: Estimator, calibration: Path, path: Path, req
 def _estimate_table(estimator: Estimator, path: Path, pattern: Path, request: ApplyRequest) -> Touches:
     if request.place_mm is not None:
         raise CalibrationError("rows of a table are located; --place is for recordings", remedy="leave --place out")
-    read = read_press_readings(path, read_pairs(pattern, estimator.identity.electrodes), request.rest)
+    press_readings = read_press_readings(path, read_pairs(pattern, estimator.identity.electrodes), request.rest)
     return estimator.estimate_readings(
-        read.distinct.pairs, read.changes, relative=read.rest is not None, differences=request.differences
+        press_readings.distinct.pairs,
+        press_readings.changes,
+        relative=press_readings.rest is not None,
+        differences=request.differences,
     )
 
 
@@ -178,12 +182,12 @@ def places_csv(applied: AppliedPlaces) -> str:
 def _cells(frame: FramePlace) -> Iterator[tuple[str, Any]]:
     """Yield columns of a frame and what they hold."""
     for name, value in asdict(frame).items():
-        before, _, unit = name.rpartition("_")
+        stem, _, unit = name.rpartition("_")
         if name == "covariance_mm2":
             (xx, xy), (_, yy) = value or ((None, None), (None, None))
             yield from {"covariance_xx_mm2": xx, "covariance_xy_mm2": xy, "covariance_yy_mm2": yy}.items()
-        elif before.endswith(("_68", "_95")):
-            yield from zip((f"{before}_low_{unit}", f"{before}_high_{unit}"), value or (None, None), strict=True)
+        elif stem.endswith(("_68", "_95")):
+            yield from zip((f"{stem}_low_{unit}", f"{stem}_high_{unit}"), value or (None, None), strict=True)
         elif name != "modelled":
             yield name, "; ".join(value) if name == "flags" else value
 
@@ -191,9 +195,9 @@ def _cells(frame: FramePlace) -> Iterator[tuple[str, Any]]:
 def places_outcome(applied: AppliedPlaces, output: Path | None) -> CommandOutcome[AppliedPlaces]:
     """Lay places out in a short table, or name the file that holds them."""
     count = len(applied.frames)
-    inside = sum(frame.in_model for frame in applied.frames)
+    in_model_count = sum(frame.in_model for frame in applied.frames)
     printed = () if output is None else (("Places", str(output)),)
-    facts = (("Like what calibrated", f"{inside} of {plural(count, 'frame')}"),)
+    facts = (("Like what calibrated", f"{in_model_count} of {plural(count, 'frame')}"),)
     outcome = answer(applied, "applied", plural(count, "frame"), facts, printed)
     return outcome if output is not None else _with_table(outcome)
 
@@ -201,9 +205,9 @@ def places_outcome(applied: AppliedPlaces, output: Path | None) -> CommandOutcom
 def _with_table(outcome: CommandOutcome[AppliedPlaces]) -> CommandOutcome[AppliedPlaces]:
     applied = outcome.result
     count = len(applied.frames)
-    chosen = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
+    row_numbers = sorted({round(n) for n in np.linspace(0, count - 1, min(count, _MOST_ROWS))})
     rows = []
-    for row in chosen:
+    for row in row_numbers:
         frame = applied.frames[row]
         x, y = ("–" if v is None else format_fixed(v, 1) for v in (frame.x_mm, frame.y_mm))
         ellipse = frame.covariance_mm2
@@ -215,7 +219,11 @@ def _with_table(outcome: CommandOutcome[AppliedPlaces]) -> CommandOutcome[Applie
             _with_interval(frame.depth_mm, frame.depth_68_mm),
         )
         rows.append((str(row + 1), x, y, radius, force, depth, "; ".join(frame.flags)))
-    spread = "" if len(chosen) == count else f"{len(chosen)} of {count} frames, evenly spread; --output has all. "
+    spread = (
+        ""
+        if len(row_numbers) == count
+        else f"{len(row_numbers)} of {count} frames, evenly spread; --output has all. "
+    )
     caption = f"{spread}Places with the longer half-axis of their 68 % region, force and depth with 68 % intervals."
     columns = ("row", "x [mm]", "y [mm]", "68 % [mm]", "force [N]", "depth [mm]", "flags")
     table = text_table(caption, columns, rows, (0, 1, 2, 3, 4, 5))

@@ -92,7 +92,7 @@ class PressesCalibrated:
 
     Parameters
     ----------
-    calibration : its file.
+    calibration : file of the calibration.
     used, left_out : presses that it was, and was not, learned from; rows are counted from 1 below the header.
     explained : share of the readings' changes that the modelled sheet explains.
     """
@@ -180,10 +180,10 @@ def _format_coverage(low: float, high: float) -> str:
 
 def _pose_words(pose: SheetRegistration) -> str:
     x, y = (_with(*each, 1) for each in zip(pose.shift_mm, pose.shift_stderr_mm, strict=True))
-    words = f"centre at ({x}, {y}) mm, turned by {_with(pose.rotation_deg, pose.rotation_stderr_deg, 1)}°"
-    words += f"{', mirrored' if pose.mirrored else ''}, scale {_with(pose.scale, pose.scale_stderr, 3)}"
-    words += f", radius {_with(pose.radius_mm, pose.radius_stderr_mm, 1)} mm"
-    return words if pose.trusted else f"{words}: not used"
+    sentence = f"centre at ({x}, {y}) mm, turned by {_with(pose.rotation_deg, pose.rotation_stderr_deg, 1)}°"
+    sentence += f"{', mirrored' if pose.mirrored else ''}, scale {_with(pose.scale, pose.scale_stderr, 3)}"
+    sentence += f", radius {_with(pose.radius_mm, pose.radius_stderr_mm, 1)} mm"
+    return sentence if pose.trusted else f"{sentence}: not used"
 
 
 def _with(value: float, stderr: float | None, digits: int) -> str:
@@ -199,18 +199,18 @@ _MAP = (
 
 def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Section, ...]:
     """Lay out the errors of presses left out, and the coverage of their regions."""
-    registration, out = learned.registration, learned.place.held_out
-    places_mm = labelled.presses.place_mm[learned.used][out.presses]
+    registration, cv = learned.registration, learned.place.held_out
+    places_mm = labelled.presses.place_mm[learned.used][cv.presses]
 
     def draw() -> str:
         from cbsr_qa.report.draw.presses import cross_validation_figure  # loads matplotlib
 
         sheet = _sheet_mm(labelled.sensor_type, registration) if registration.trusted else {}
-        return cross_validation_figure(places_mm, out.found_mm, out.levels, out.held, **sheet)
+        return cross_validation_figure(places_mm, cv.found_mm, cv.levels, cv.held, **sheet)
 
-    low, high = out.coverage
+    low, high = cv.coverage
     alternative = (
-        f"{out.count} presses left out, missed by {format_fixed(out.mean_mm, 2)} mm in the mean; regions of 68 and"
+        f"{cv.count} presses left out, missed by {format_fixed(cv.mean_mm, 2)} mm in the mean; regions of 68 and"
         f" 95 % hold {low:.0%} and {high:.0%} of them."
     )
     return (Section("Presses left out", (Figure(_MAP, alternative, draw),), page_only=True),)

@@ -27,7 +27,7 @@ class Converted:
     Parameters
     ----------
     digest : SHA-256 of the content; for a firmware file, of its calibration.
-    loss : what a firmware file omits; None if nothing is lost.
+    loss : what a firmware file omits; None if it omits nothing.
     signed_by : fingerprint of the key whose signature it has; None if it has none, as a firmware file.
     """
 
@@ -47,7 +47,7 @@ def export_calibration(
     Parameters
     ----------
     source, output : files; the suffix, .h5, .hdf5 or .json, says which kind.
-    stride : of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware.firmware_document`.
+    stride : stride of the lattice for firmware, see :func:`~cbsr_qa.calibration.file.firmware.firmware_document`.
 
     Raises
     ------
@@ -106,7 +106,7 @@ def is_json(path: Path) -> bool:
 
 
 def write_json(path: Path, calibration: Issued) -> None:
-    """Write a calibration as JSON, whole or not at all. RefusedError if it cannot be written."""
+    """Write a calibration as JSON, whole or not at all. Raise RefusedError if it cannot be written."""
     write_text(path, _json(json_document(calibration)))
 
 
@@ -115,7 +115,7 @@ def _json(document: dict[str, Any]) -> str:
 
 
 def check_free(output: Path) -> None:
-    """Make sure that a file does not exist yet. RefusedError if it does, or its path cannot be used."""
+    """Make sure that a file does not exist yet. Raise RefusedError if it does, or its path cannot be used."""
     with writing(output):
         taken = output.is_symlink() or output.exists()
     if taken:
@@ -123,7 +123,7 @@ def check_free(output: Path) -> None:
 
 
 def write_text(path: Path, text: str) -> None:
-    """Write a text file whole or not at all. RefusedError if it cannot be written."""
+    """Write a text file whole or not at all. Raise RefusedError if it cannot be written."""
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as file:

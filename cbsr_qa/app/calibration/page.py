@@ -21,11 +21,11 @@ _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settlin
 
 
 def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
-    """Return the contents of a calibration file. CalibrationError if it is damaged or altered."""
-    verified, held = read_in_child(path, partial(_verify_and_read, path))
-    if isinstance(held, PressCalibration):
-        return press_calibration_outcome(path, held)
-    shown = ShownCalibration.from_calibration(path, verified, held)
+    """Return the contents of a calibration file. Raise CalibrationError if it is damaged or altered."""
+    verified, calibration = read_in_child(path, partial(_verify_and_read, path))
+    if isinstance(calibration, PressCalibration):
+        return press_calibration_outcome(path, calibration)
+    shown = ShownCalibration.from_calibration(path, verified, calibration)
     return CommandOutcome(shown, _page(shown), tuple(_sections(shown)))
 
 
@@ -51,10 +51,10 @@ def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
     yield _texts("Force", _force(shown))
     yield Section("Settling", (_settling(shown.settling),))
-    others = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
-    rows = [(path, field.units, field.text) for path, field in others.items() if field.listed]
+    other_fields = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
+    rows = [(path, field.units, field.text) for path, field in other_fields.items() if field.listed]
     table = text_table("All other fields of the file, except long arrays.", ("path", "unit", "value"), rows)
-    arrays = plural(len(others) - len(rows), "long array")
+    arrays = plural(len(other_fields) - len(rows), "long array")
     yield Section("Other fields", (table, Paragraph(f"Not shown: {arrays}. --json gives their shapes.")))
 
 
@@ -100,10 +100,10 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
         yield f"none: {shown.no_force_model}"
         return
     low, high = 100 * force.response_lowest, 100 * force.response_highest
-    best, worst = 100 * force.response_stderr_lowest, 100 * force.response_stderr_highest
+    best_percent, worst_percent = 100 * force.response_stderr_lowest, 100 * force.response_stderr_highest
     yield (
         f"Response of the sheet: {low:.1f} to {high:.1f} % of that of its material, with a standard error of"
-        f" {best:.1f} to {worst:.1f} %; single loads scatter by {100 * force.scatter:.1f} %."
+        f" {best_percent:.1f} to {worst_percent:.1f} %; single loads scatter by {100 * force.scatter:.1f} %."
     )
     x, y = force.least_force_worst_at_mm
     yield (
@@ -117,12 +117,12 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
 def _settling(summaries: tuple[Settling, ...]) -> Table:
     rows = [
         (
-            f"{one.signal}, {one.direction}",
-            "none" if one.mean_s is None else f"{'at least ' if one.censored else ''}{one.mean_s:.3g}",
-            "" if one.deviation_s is None else f"{one.deviation_s:.2g}",
-            *map(str, (one.accepted, one.censored, one.rejected)),
+            f"{summary.signal}, {summary.direction}",
+            "none" if summary.mean_s is None else f"{'at least ' if summary.censored else ''}{summary.mean_s:.3g}",
+            "" if summary.deviation_s is None else f"{summary.deviation_s:.2g}",
+            *map(str, (summary.accepted, summary.censored, summary.rejected)),
         )
-        for one in summaries
+        for summary in summaries
     ]
     columns = ("signal", "mean [s]", "deviation [s]", "settled", "later than window", "rejected")
     return text_table("Settling times over all loads.", columns, rows, (1, 2, 3, 4, 5))

@@ -40,7 +40,7 @@ class ShownPressCalibration:
 
 def press_calibration_outcome(path: Path, held: PressCalibration) -> CommandOutcome[ShownPressCalibration]:
     """Return the contents of a calibration from labelled presses."""
-    shown = fill_from_object(
+    shown_calibration = fill_from_object(
         ShownPressCalibration,
         held,
         file=path,
@@ -52,10 +52,13 @@ def press_calibration_outcome(path: Path, held: PressCalibration) -> CommandOutc
         ("Issued at", held.issued_at),
         ("Made by", held.made_by),
         ("Calibration", held.calibration),
-        ("Readings", f"{shown.readings}, {'changes' if held.differences else 'against its own unloaded frames'}"),
+        (
+            "Readings",
+            f"{shown_calibration.readings}, {'changes' if held.differences else 'against its own unloaded frames'}",
+        ),
         *((f"From {source.role}", f"{source.name}, SHA-256 {source.digest}") for source in held.sources),
         *press_facts(held),
     ]
-    outcome = answer(shown, "", "", facts, [("SHA-256", held.digest)], held.findings)
+    outcome = answer(shown_calibration, "", "", facts, [("SHA-256", held.digest)], held.findings)
     banner = Banner("plain", "●", f"Calibration of a {held.sensor_type} from labelled presses", "")
     return replace(outcome, page=replace(outcome.page, kind="Calibration", banner=banner))

@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.calibration import (
 )
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
-#: Most values of an array that is shown.
+#: Largest number of values of an array that is shown.
 _MOST_SHOWN: Final = 8
 
 _Array = np.ndarray[Any, np.dtype[np.float64]]
@@ -118,12 +118,12 @@ class Value:
         units = "" if entry.units in (PURE, TEXT, INDEX, FLAG) else entry.units
         if isinstance(entry.value, str):
             return cls(entry.value, units, ())
-        flat = np.ravel(np.array(entry.value, dtype=object)).tolist()
-        known = all(isfinite(one) for one in flat if isinstance(one, float))
+        flat_values = np.ravel(np.array(entry.value, dtype=object)).tolist()
+        is_finite = all(isfinite(value) for value in flat_values if isinstance(value, float))
         shape = np.shape(entry.value)
         if not shape:
-            return cls(flat[0] if known else None, units, ())
-        return cls(tuple(flat) if known and len(flat) <= _MOST_SHOWN else None, units, shape)
+            return cls(flat_values[0] if is_finite else None, units, ())
+        return cls(tuple(flat_values) if is_finite and len(flat_values) <= _MOST_SHOWN else None, units, shape)
 
     @property
     def listed(self) -> bool:
@@ -146,8 +146,8 @@ class ShownForceModel:
     ----------
     places : nodes of the lattice where the head may be.
     response_lowest, response_highest : response of the sheet relative to that of its material.
-    scatter : of single loads, relative.
-    hold_s : how long after the press the map was learned.
+    scatter : scatter of single loads, relative.
+    hold_s : time after the press at which the map was learned [s].
     """
 
     places: int
@@ -173,8 +173,8 @@ class ShownForceModel:
         stderr = interpolate(model, model.log_response_stderr, places)
         # Force at each place whose change in one frame is just detected as a load.
         inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
-        least = least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
-        worst = int(np.argmax(least))
+        least_N = least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
+        worst_place = int(np.argmax(least_N))
         return fill_from_object(
             cls,
             model,
@@ -185,9 +185,9 @@ class ShownForceModel:
             response_stderr_lowest=float(stderr.min()),
             response_stderr_highest=float(stderr.max()),
             hold_s=model.steady_s,
-            least_force_centre_N=float(least[np.argmin(np.hypot(*places.T))]),
-            least_force_worst_N=float(least[worst]),
-            least_force_worst_at_mm=(float(places[worst, 0]), float(places[worst, 1])),
+            least_force_centre_N=float(least_N[np.argmin(np.hypot(*places.T))]),
+            least_force_worst_N=float(least_N[worst_place]),
+            least_force_worst_at_mm=(float(places[worst_place, 0]), float(places[worst_place, 1])),
             head=calibration.indenter.words(),
             assumed=tuple(name for name in calibration.assumed if name.endswith("stress")),
         )
@@ -248,8 +248,8 @@ class ShownCalibration:
 
 def _places(calibration: Calibration, model: ForceModel) -> _Array:
     """Return the lattice nodes within the calibrated radius; all if there are none."""
-    everywhere, node = model.lattice.places_mm(), model.node.ravel()
-    fits = np.where(node >= 0, model.fits[node], False)
-    fits &= np.isfinite(TemplateFilter(model).template(everywhere)).all(axis=1)
-    near = fits & (np.hypot(*everywhere.T) <= calibration.validity.radius_mm)
-    return everywhere[near if near.any() else fits]
+    lattice_mm, node = model.lattice.places_mm(), model.node.ravel()
+    fits_mask = np.where(node >= 0, model.fits[node], False)
+    fits_mask &= np.isfinite(TemplateFilter(model).template(lattice_mm)).all(axis=1)
+    near_mask = fits_mask & (np.hypot(*lattice_mm.T) <= calibration.validity.radius_mm)
+    return lattice_mm[near_mask if near_mask.any() else fits_mask]

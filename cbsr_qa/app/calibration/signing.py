@@ -32,7 +32,8 @@ class CheckedSignature:
     ----------
     key : fingerprint of the signer's public key.
     signed_at : time that the signer stated.
-    checked : whether it fits the content; False only where ``cryptography`` is not installed and no key was pinned.
+    checked : whether the signature fits the content; False only where ``cryptography`` is not installed and no key
+        was pinned.
     pinned : whether the signature had to be by a given key, and is.
     """
 
@@ -138,7 +139,7 @@ def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[S
     Parameters
     ----------
     key : file with the private key.
-    again : whether a signature that it has is replaced.
+    again : whether to replace a signature that the file has.
 
     Raises
     ------
@@ -149,23 +150,26 @@ def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[S
     """
     private = signing_key(key)
     issued = read_any(path)
-    before = issued.signature
-    if before is not None and not again:
+    earlier_signature = issued.signature
+    if earlier_signature is not None and not again:
         raise CalibrationError(
-            f"calibration file {path}: signed already, by {before.words}", remedy="--again replaces that signature"
+            f"calibration file {path}: signed already, by {earlier_signature.words}",
+            remedy="--again replaces that signature",
         )
-    held, file = sign_calibration(issued, private, RealClock().wall()), path.resolve()
+    signed, file = sign_calibration(issued, private, RealClock().wall()), path.resolve()
     if is_json(path):
-        write_json(file, held)
+        write_json(file, signed)
     else:
-        write_calibration(file, held)
-    assert held.signature is not None
-    replaced = None if before is None else fingerprint(before.public_key)
-    who, when = fingerprint(held.signature.public_key), held.signature.signed_at
-    facts = [("SHA-256", f"{held.digest}, as before"), ("Signed at", when)]
+        write_calibration(file, signed)
+    assert signed.signature is not None
+    replaced = None if earlier_signature is None else fingerprint(earlier_signature.public_key)
+    signer, signed_at = fingerprint(signed.signature.public_key), signed.signature.signed_at
+    facts = [("SHA-256", f"{signed.digest}, as before"), ("Signed at", signed_at)]
     if replaced is not None:
         facts.append(("Replaced", f"the signature by key {replaced}"))
-    return answer(SignedFile(path, held.digest, who, when, replaced), f"{path} is signed", f"by key {who}", facts)
+    return answer(
+        SignedFile(path, signed.digest, signer, signed_at, replaced), f"{path} is signed", f"by key {signer}", facts
+    )
 
 
 @dataclass(frozen=True, slots=True)
@@ -184,7 +188,7 @@ class NewKey:
 
 
 def make_key(path: Path) -> CommandOutcome[NewKey]:
-    """Make a key pair that signs calibrations: the private key, and beside it FILE.pub.
+    """Make a key pair that signs calibrations: the private key, and FILE.pub next to it.
 
     Raises
     ------
@@ -192,7 +196,7 @@ def make_key(path: Path) -> CommandOutcome[NewKey]:
         If a file exists or cannot be written, the passphrase cannot be used, or ``cryptography`` is not installed.
     """
     encrypted = passphrase() is not None
-    made = NewKey(path, public_path(path), fingerprint(new_key(path)), encrypted)
+    new = NewKey(path, public_path(path), fingerprint(new_key(path)), encrypted)
     lock = "encrypted with the passphrase" if encrypted else "not encrypted: anyone who reads it can sign"
-    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{made.public_key} (give it to those who check)"))
-    return answer(made, "key made", made.fingerprint, printed=printed)
+    printed = (("Private key", f"{path} ({lock})"), ("Public key", f"{new.public_key} (give it to those who check)"))
+    return answer(new, "key made", new.fingerprint, printed=printed)

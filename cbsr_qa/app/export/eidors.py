@@ -12,7 +12,7 @@ from cbsr_qa.app.export.frames import LoadStage, RunFrames
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.run.run import RunRecord
 
-#: A variable of this version of the format is smaller [bytes].
+#: Size that a variable of this version of the format must stay below [bytes].
 _LARGEST: Final = 2**31
 
 
@@ -24,7 +24,7 @@ def write_eidors(file: BinaryIO, record: RunRecord, frames: RunFrames, attribute
 
     Parameters
     ----------
-    attributes : of the run.
+    attributes : attributes of the run.
 
     Raises
     ------
@@ -58,16 +58,16 @@ def _vectors(values: NDArray[Any]) -> NDArray[Any]:
 def _model(record: RunRecord, current_A: float) -> dict[str, Any]:
     pattern = record.sensor_type.pattern
     currents = pattern.drive_currents() * (1.0 if np.isnan(current_A) else current_A)
-    voltages, usable = pattern.measure_matrix().T, pattern.usable()
+    voltages, usable_mask = pattern.measure_matrix().T, pattern.usable()
     fields = ("stimulation", "stim_pattern", "meas_pattern")
-    stimulation = np.empty((1, len(usable)), dtype=[(name, object) for name in fields])
-    for drive, used in enumerate(usable):
-        stimulation[0, drive] = ("Amp", csc_array(currents[:, [drive]]), csc_array(voltages[used]))
+    stimulation = np.empty((1, len(usable_mask)), dtype=[(name, object) for name in fields])
+    for drive, used_mask in enumerate(usable_mask):
+        stimulation[0, drive] = ("Amp", csc_array(currents[:, [drive]]), csc_array(voltages[used_mask]))
     return {
         "type": "fwd_model",
         "name": record.sensor_type.name,
         "stimulation": stimulation,
-        "meas_select": usable.reshape(-1, 1),
+        "meas_select": usable_mask.reshape(-1, 1),
     }
 
 

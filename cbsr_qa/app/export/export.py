@@ -34,7 +34,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.words import echo
 
-#: Progress is shown so many times at most.
+#: Largest number of times that progress is shown.
 _STEPS: Final = 10
 _ALTERED: Final = "restore the database from a copy; nothing was written (a table, CSV or Parquet, marks such runs)"
 
@@ -48,8 +48,8 @@ class ExportRequest:
     to : file to write; its folder exists.
     run : a run, or a serial number for its latest run; None for the runs of ``runs``.
     runs : the selected runs; None if nothing selects them.
-    format : of the file; None for that of the suffix.
-    table : what a row is; None for runs. Of tables only.
+    format : format of the file; None for that of the suffix.
+    table : what a row is; None for runs. For tables only.
     phase : name of the only phase whose frames are written; None for all. Of frames only.
     force : replace a file that exists.
     """
@@ -69,9 +69,9 @@ class Exported:
 
     Parameters
     ----------
-    runs : how many of them the file is about.
+    runs : number of runs that the file is about.
     run : the only run, where the file is about one that was named; else null.
-    table, rows : what a row is, and how many; null unless the file is a table.
+    table, rows : what a row is, and the number of rows; null unless the file is a table.
     altered : runs that do not match their chains: they are marked in a table, and no other file is written of them.
     frames, loads, overrides : frames and presses of the run, and overrides of its verdict; null and empty unless the
         file holds frames.
@@ -146,26 +146,26 @@ def _check(request: ExportRequest, kind: ExportFormat) -> None:
 def _export_frames(
     store: Repository, run: str, request: ExportRequest, kind: ExportFormat, tell: Callable[[str], None]
 ) -> CommandOutcome[Exported]:
-    to = request.to
+    target = request.to
     tell("reading the run")
     record, overrides = store.runs.load(run), store.changes.list_overrides(run)
     phases = record.phases if request.phase is None else (record.phase(request.phase),)
     if kind is ExportFormat.RECORDING:
-        recording = as_recording(record, to, phases, overrides)
-        write_recording(to, recording)
+        recording = as_recording(record, target, phases, overrides)
+        write_recording(target, recording)
         frames = len(recording.frames)
     else:
         listed = _sound_run(store, run)
-        frames = _write_frames(record, phases, listed, to, kind)
+        frames = _write_frames(record, phases, listed, target, kind)
     loads = sum(len(phase.loads) + len(phase.loops) for phase in phases)
-    size_bytes = to.stat().st_size
-    exported = Exported(to, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
-    words = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
-    return _outcome(exported, words, (("Run", record.identity.words),))
+    size_bytes = target.stat().st_size
+    exported = Exported(target, kind, size_bytes, 1, run, frames=frames, loads=loads, overrides=overrides)
+    content = f"{plural(frames, 'frame')} and {plural(loads, 'press', 'presses')}"
+    return _outcome(exported, content, (("Run", record.identity.words),))
 
 
 def _sound_run(store: Repository, run: str) -> ListedRun:
-    """Return a run as it is listed. StoreError if it was altered."""
+    """Return a run as it is listed. Raise StoreError if it was altered."""
     (listed,) = store.lists.read_runs(RunSelection(up_to=run, latest=1))
     if listed.altered:
         raise StoreError(listed.altered, remedy=_ALTERED)
@@ -217,19 +217,19 @@ def _export_runs(
     table: ExportTable,
     tell: Callable[[str], None],
 ) -> CommandOutcome[Exported]:
-    to = request.to
-    chosen = request.runs or ListRequest(RunSelection(checks=False))
-    of_run = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
-    pages = run_pages(store, of_run or chosen, AT_ONCE)
+    target = request.to
+    list_request = request.runs or ListRequest(RunSelection(checks=False))
+    run_request = None if run is None else ListRequest(RunSelection(up_to=run), latest=1)
+    pages = run_pages(store, run_request or list_request, AT_ONCE)
     runs = rows = 0
-    altered, trusted = list[str](), Counter[str]()
-    with writing(to), write_atomically(to) as file:
+    altered_names, trust_totals = list[str](), Counter[str]()
+    with writing(target), write_atomically(target) as file:
         with _writer(store, file, kind, table) as write:
             for page in pages:
-                written, marked = write(page.runs)
+                written, altered_runs = write(page.runs)
                 rows, runs = rows + written, runs + len(page.runs)
-                altered += marked
-                trusted += trust_counts(page.runs)
+                altered_names += altered_runs
+                trust_totals += trust_counts(page.runs)
                 _tell(page, tell)
         if not runs:
             raise RefusedError(
@@ -237,20 +237,20 @@ def _export_runs(
                 remedy="cbsr-qa runs with the same options lists what they select",
             )
     exported = Exported(
-        to,
+        target,
         kind,
-        to.stat().st_size,
+        target.stat().st_size,
         runs,
         run,
         table if kind.of_table else None,
         rows if kind.of_table else None,
-        tuple(altered),
+        tuple(altered_names),
     )
-    words = plural(runs, "run")
-    outcome = _outcome(exported, f"{plural(rows, 'row')}, {words}" if kind.of_table else words)
-    trusted["altered"] = len(altered)
-    page_of_file = replace(outcome.page, warnings=trust_notes(store, trusted))
-    return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered)))
+    content = plural(runs, "run")
+    outcome = _outcome(exported, f"{plural(rows, 'row')}, {content}" if kind.of_table else content)
+    trust_totals["altered"] = len(altered_names)
+    page_of_file = replace(outcome.page, warnings=trust_notes(store, trust_totals))
+    return replace(outcome, page=page_of_file, exit_code=exit_code(len(altered_names)))
 
 
 @contextmanager
@@ -285,8 +285,8 @@ def _writer(
 
 def _tell(page: RunPage, tell: Callable[[str], None]) -> None:
     """Report every tenth part of many runs."""
-    before = max(page.done - AT_ONCE, 0)
-    if page.total > AT_ONCE and page.done * _STEPS // page.total > before * _STEPS // page.total:
+    done_before = max(page.done - AT_ONCE, 0)
+    if page.total > AT_ONCE and page.done * _STEPS // page.total > done_before * _STEPS // page.total:
         tell(f"{page.done} of {page.total} runs")
 
 

@@ -50,29 +50,29 @@ _SUFFIXES: Final = {
 
 
 def format_of(to: Path, given: str | None) -> ExportFormat:
-    """Return the format that was given, else that of the suffix. RefusedError if neither names a format."""
+    """Return the format that was given, else that of the suffix. Raise RefusedError if neither names a format."""
     if given is not None:
         if given not in list(ExportFormat):
-            known = ", ".join(ExportFormat)
-            hint = f"{did_you_mean(given, [*map(str, ExportFormat)])} allowed: {known}".lstrip()
+            known_formats = ", ".join(ExportFormat)
+            hint = f"{did_you_mean(given, [*map(str, ExportFormat)])} allowed: {known_formats}".lstrip()
             raise RefusedError(f"--format {echo(given, 64)} is not known", remedy=hint)
         return ExportFormat(given)
     if to.suffix.lower() not in _SUFFIXES:
-        known = ", ".join(f"{suffix} ({kind})" for suffix, kind in _SUFFIXES.items())
-        what = f"unknown suffix {echo(to.suffix, 64)}" if to.suffix else "no suffix"
-        raise RefusedError(f"{to}: {what}", remedy=f"use one of {known}, or name a format with --format")
+        known_formats = ", ".join(f"{suffix} ({kind})" for suffix, kind in _SUFFIXES.items())
+        problem = f"unknown suffix {echo(to.suffix, 64)}" if to.suffix else "no suffix"
+        raise RefusedError(f"{to}: {problem}", remedy=f"use one of {known_formats}, or name a format with --format")
     return _SUFFIXES[to.suffix.lower()]
 
 
 def check_target(to: Path, *, force: bool) -> None:
     """Refuse a path that cannot be written, or a file that exists unless ``force`` allows to replace it."""
     with writing(to):
-        taken = to.is_symlink() or to.exists()
+        exists = to.is_symlink() or to.exists()
         folder = to.is_dir()
         home = to.parent.is_dir()
     if folder:
         raise RefusedError(f"{to} is a folder", remedy="name a file in it")
     if not home:
         raise RefusedError(f"{to} cannot be written: there is no folder {to.parent}", remedy="make the folder first")
-    if taken and not force:
+    if exists and not force:
         raise RefusedError(f"{to} exists already", remedy="name another file, or replace it with --force")

@@ -95,16 +95,16 @@ def run_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RunFrames:
 
 def frames_of(measured: Sequence[tuple[str, FrameBlock, Sequence[LoadRecord]]]) -> RunFrames:
     """Join named blocks of frames, each with its presses. Raises as :func:`run_frames`."""
-    loads = tuple((n, load) for n, (_, _, own) in enumerate(measured) for load in own)
-    counts = [len(frames) for _, frames, _ in measured]
-    which = np.repeat(np.arange(len(measured), dtype=np.int32), counts)
+    loads = tuple((n, load) for n, (_, _, phase_loads) in enumerate(measured) for load in phase_loads)
+    frame_counts = [len(frames) for _, frames, _ in measured]
+    phase_indices = np.repeat(np.arange(len(measured), dtype=np.int32), frame_counts)
     currents = [np.nan if frames.current_A is None else frames.current_A for _, frames, _ in measured]
     frames = _join_blocks([frames for _, frames, _ in measured])
     return RunFrames(
         frames,
-        np.repeat(np.array(currents, dtype=np.float64), counts),
-        which,
-        *_assign_loads(frames.time_s, which, loads),
+        np.repeat(np.array(currents, dtype=np.float64), frame_counts),
+        phase_indices,
+        *_assign_loads(frames.time_s, phase_indices, loads),
         tuple(name for name, _, _ in measured),
         loads,
     )
@@ -157,28 +157,30 @@ def _assign_loads(
     number = np.full(len(time_s), -1, dtype=np.int32)
     stage = np.zeros(len(time_s), dtype=np.uint8)
     strain = np.full(len(time_s), np.nan)
-    for n, (own, load) in enumerate(loads):
-        eased = load.eased
-        moves_s = [moment for step in eased for moment in (step.start_s, step.hold_start_s)]
+    for n, (own_phase, load) in enumerate(loads):
+        eased_steps = load.eased
+        moves_s = [moment for step in eased_steps for moment in (step.start_s, step.hold_start_s)]
         ends_s = (load.release_start_s, load.release_end_s, load.rest_end_s)
-        between = np.searchsorted([load.press_start_s, load.hold_start_s, *moves_s, *ends_s], time_s, side="right")
-        begins = [LoadStage.PRESS, LoadStage.HOLD, *[LoadStage.EASE, LoadStage.HOLD] * len(eased)]
+        stage_indices = np.searchsorted(
+            [load.press_start_s, load.hold_start_s, *moves_s, *ends_s], time_s, side="right"
+        )
+        begins = [LoadStage.PRESS, LoadStage.HOLD, *[LoadStage.EASE, LoadStage.HOLD] * len(eased_steps)]
         stages = np.array(
             [LoadStage.NONE, *begins, LoadStage.RELEASE, LoadStage.REST, LoadStage.NONE], dtype=np.uint8
         )
         strains = np.full(len(stages), np.nan)
         strains[stages == LoadStage.HOLD] = [held.strain for held in load.held]
-        during = (phase == own) & (stages[between] != LoadStage.NONE)
-        number[during] = n
-        stage[during] = stages[between][during]
-        strain[during] = strains[between][during]
+        during_load_mask = (phase == own_phase) & (stages[stage_indices] != LoadStage.NONE)
+        number[during_load_mask] = n
+        stage[during_load_mask] = stages[stage_indices][during_load_mask]
+        strain[during_load_mask] = strains[stage_indices][during_load_mask]
     return number, stage, strain
 
 
 def as_recording(
     record: RunRecord, path: Path, phases: tuple[PhaseRecord, ...], overrides: tuple[VerdictOverride, ...] = ()
 ) -> Recording:
-    """Join phases of a run into one recording. RefusedError if they hold no frame."""
+    """Join phases of a run into one recording. Raise RefusedError if they hold no frame."""
     blocks = [phase.frames for phase in phases if phase.frames is not None and len(phase.frames)]
     if not blocks:
         raise missing_frames_error(record, phases)

@@ -51,15 +51,15 @@ def suite(run: ListedRun, judged: Sequence[Measurement]) -> bytes:
     for name in _PROPERTIES:
         SubElement(properties, "property", name=name, value=_text(str(getattr(run, name) or "")))
     results = Counter[str]()
-    for name, kind, category, words in _cases(run, judged):
+    for name, kind, category, text in _cases(run, judged):
         case = SubElement(element, "testcase", classname=_class(run), name=_text(name))
         results[kind] += 1
         if kind in ("failure", "error"):
-            SubElement(case, kind, message=_text(words), type=category).text = _text(words)
+            SubElement(case, kind, message=_text(text), type=category).text = _text(text)
         elif kind == "skipped":
-            SubElement(case, kind, message=_text(words))
-        elif words:
-            SubElement(case, "system-out").text = _text(words)
+            SubElement(case, kind, message=_text(text))
+        elif text:
+            SubElement(case, "system-out").text = _text(text)
     counts = {"failures": results["failure"], "errors": results["error"], "skipped": results["skipped"]}
     element.attrib |= {"tests": str(results.total()), **{name: str(count) for name, count in counts.items()}}
     began = run.started_at.astimezone(UTC)
@@ -86,11 +86,11 @@ def _cases(run: ListedRun, judged: Sequence[Measurement]) -> Iterator[tuple[str,
         names[name] += 1
         name = name if names[name] == 1 else f"{name} ({names[name]})"
         kind = {Outcome.FAIL: "failure", Outcome.NOT_MEASURED: "error"}.get(measurement.outcome, "")
-        words = describe_judgement(measurement)
+        text = describe_judgement(measurement)
         if kind and override and run.passed:
-            kind, words = "skipped", f"{override}; {words}"
-        marginal = f"marginal: {words}" if measurement.outcome is Outcome.MARGINAL else ""
-        yield name, kind, str(measurement.outcome), words if kind else marginal
+            kind, text = "skipped", f"{override}; {text}"
+        marginal = f"marginal: {text}" if measurement.outcome is Outcome.MARGINAL else ""
+        yield name, kind, str(measurement.outcome), text if kind else marginal
 
 
 def _class(run: ListedRun) -> str:

@@ -33,18 +33,18 @@ class Variable(NamedTuple):
 def frame_variables(
     sensor_type: SensorType, frames: RunFrames, samples: Sequence[SampleBlock]
 ) -> tuple[Variable, ...]:
-    """Return frames, what was going on at each, their pairs and electrodes, and the samples taken beside them."""
+    """Return the variables of frames: readings, events, pairs and electrodes, and the samples of other channels."""
     coordinates = [*_time_variables(frames), *_pattern_variables(sensor_type)]
-    named = " ".join(variable.name for variable in coordinates)
+    coordinate_names = " ".join(variable.name for variable in coordinates)
     variables = [
         *_dimensions(sensor_type, frames),
         *coordinates,
-        *_readings(frames, named),
+        *_readings(frames, coordinate_names),
         *_electrodes(sensor_type),
     ]
-    taken = {variable.name for variable in variables}
+    names_taken = {variable.name for variable in variables}
     for block in samples:
-        variables += _samples(block, taken)
+        variables += _samples(block, names_taken)
     return tuple(variables)
 
 
@@ -69,36 +69,46 @@ def _dimensions(sensor_type: SensorType, frames: RunFrames) -> Iterator[Variable
 
 
 def _readings(frames: RunFrames, coordinates: str) -> Iterator[Variable]:
-    at = ("time", "drive", "measure")
-    beside = {"coordinates": coordinates}
+    dimensions = ("time", "drive", "measure")
+    attributes = {"coordinates": coordinates}
     unit = str(frames.frames.unit)
-    readings = {**beside, "ancillary_variables": "flags", "_FillValue": np.nan}
-    yield Variable("voltage", at, frames.readings, "reading: potential at plus less that at minus", unit, readings)
+    readings = {**attributes, "ancillary_variables": "flags", "_FillValue": np.nan}
+    yield Variable(
+        "voltage", dimensions, frames.readings, "reading: potential at plus less that at minus", unit, readings
+    )
     flags = {
         "flag_masks": np.array([flag.value for flag in ReadingFlag if flag], dtype=np.uint8),
         "flag_meanings": " ".join(str(flag.name).lower() for flag in ReadingFlag if flag),
     }
-    yield Variable("flags", at, frames.frames.flags, "faults of the reading", "", {**beside, **flags})
+    yield Variable("flags", dimensions, frames.frames.flags, "faults of the reading", "", {**attributes, **flags})
 
 
 def _time_variables(frames: RunFrames) -> Iterator[Variable]:
-    at = ("time",)
-    yield Variable("phase", at, np.array(frames.phases, dtype=object)[frames.phase], "phase of the run")
+    dimensions = ("time",)
+    yield Variable("phase", dimensions, np.array(frames.phases, dtype=object)[frames.phase], "phase of the run")
     stages = {
         "flag_values": np.array([stage.value for stage in LoadStage], dtype=np.uint8),
         "flag_meanings": " ".join(stage.name.lower() for stage in LoadStage),
     }
-    yield Variable("load_stage", at, frames.stage, "what the head was doing", "", stages)
-    yield Variable("load_label", at, frames.load_values("label"), "label of the press in progress")
-    yield Variable("load_trial", at, frames.load_values("trial"), "repetition of the press, from 0", "1")
-    yield Variable("load_x", at, frames.load_values("x_mm"), "place of the press from the sheet's centre", "mm")
-    yield Variable("load_y", at, frames.load_values("y_mm"), "place of the press from the sheet's centre", "mm")
-    yield Variable("strain", at, frames.strain, "compressive strain while it is held", "1")
-    yield Variable("current", at, frames.current_A, "drive current", "A")
+    yield Variable("load_stage", dimensions, frames.stage, "what the head was doing", "", stages)
+    yield Variable("load_label", dimensions, frames.load_values("label"), "label of the press in progress")
+    yield Variable("load_trial", dimensions, frames.load_values("trial"), "repetition of the press, from 0", "1")
+    yield Variable(
+        "load_x", dimensions, frames.load_values("x_mm"), "place of the press from the sheet's centre", "mm"
+    )
+    yield Variable(
+        "load_y", dimensions, frames.load_values("y_mm"), "place of the press from the sheet's centre", "mm"
+    )
+    yield Variable("strain", dimensions, frames.strain, "compressive strain while it is held", "1")
+    yield Variable("current", dimensions, frames.current_A, "drive current", "A")
     if frames.frames.reading_time_s is not None:
-        own = frames.frames.reading_time_s
+        reading_times_s = frames.frames.reading_time_s
         yield Variable(
-            "reading_time", ("time", "drive", "measure"), own, "time of the reading, on the run's clock", "s"
+            "reading_time",
+            ("time", "drive", "measure"),
+            reading_times_s,
+            "time of the reading, on the run's clock",
+            "s",
         )
 
 
@@ -125,14 +135,14 @@ def _samples(block: SampleBlock, taken: set[str]) -> Iterator[Variable]:
     name = re.sub(r"\W+", "_", block.channel, flags=re.ASCII).strip("_") or "channel"
     while {name, f"{name}_time"} & taken:
         name += "_"
-    at = (f"{name}_time",)
-    taken |= {name, *at}
-    yield Variable(at[0], at, block.time_s, f"time of {block.channel}, on the run's clock", "s")
-    yield Variable(name, at, block.values, block.channel, block.unit)
+    dimensions = (f"{name}_time",)
+    taken |= {name, *dimensions}
+    yield Variable(dimensions[0], dimensions, block.time_s, f"time of {block.channel}, on the run's clock", "s")
+    yield Variable(name, dimensions, block.values, block.channel, block.unit)
 
 
 def _write(file: h5py.File, variable: Variable) -> None:
-    name, dimensions, values, long_name, units, more = variable
+    name, dimensions, values, long_name, units, attributes = variable
     if values.dtype == object:
         data = file.create_dataset(name, data=values, dtype=h5py.string_dtype(), track_order=True)
     else:
@@ -140,7 +150,7 @@ def _write(file: h5py.File, variable: Variable) -> None:
         chunks = (max(1, min(len(values), _CHUNK_VALUES // frame)), *values.shape[1:])
         packed = {"chunks": chunks, "compression": "gzip", "compression_opts": 4, "shuffle": True}
         data = file.create_dataset(name, data=values, track_order=True, **(packed if values.size else {}))
-    data.attrs.update({"long_name": long_name, **({"units": units} if units else {}), **more})
+    data.attrs.update({"long_name": long_name, **({"units": units} if units else {}), **attributes})
     if dimensions == (name,):
         data.make_scale(name)
         return

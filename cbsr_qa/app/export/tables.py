@@ -79,7 +79,7 @@ class TableWriter(Protocol):
 def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) -> tuple[Rows, tuple[str, ...]]:
     """Return the rows of some runs, and which of the runs were altered: their rows say so.
 
-    StoreError if a cell of one is damaged; the message names the run.
+    Raise StoreError if a cell of one is damaged; the message names the run.
     """
     if table is ExportTable.RUNS:
         entries = map(RunEntry.from_run, runs)
@@ -95,8 +95,8 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
 
 def _mark_altered_run(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
     """Return the row that a run has in place of its measurements if it was altered."""
-    said = {"outcome": ALTERED, "how": problem}
-    return (*of_run, *(said.get(name) for name in _MEASURED))
+    value_by_column = {"outcome": ALTERED, "how": problem}
+    return (*of_run, *(value_by_column.get(name) for name in _MEASURED))
 
 
 def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:
@@ -109,7 +109,7 @@ def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> 
 
 @contextmanager
 def table_writer(file: BinaryIO, kind: ExportFormat, table: ExportTable) -> Iterator[TableWriter]:
-    """Write a table to an open file. RefusedError if a library is missing."""
+    """Write a table to an open file. Raise RefusedError if a library is missing."""
     columns = _COLUMNS[table]
     if kind is ExportFormat.CSV:
         yield _Csv(file, columns)

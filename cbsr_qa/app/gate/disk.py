@@ -11,10 +11,10 @@ from cbsr_qa.station.setup import plan_of
 from cbsr_qa.store.engine import parse_url, sqlite_file
 
 _GB: Final = 1e9
-#: Time of a frame that is assumed: how fast the instruments are is known only once they are open. The shipped
+#: Assumed time of a frame: how fast the instruments are is known only once they are open. The shipped
 #: drivers take 0.24 s or more.
 _FRAME_S: Final = 0.1
-#: Bytes in the database of a reading (a voltage, its time and its flag), and beside the readings of a frame.
+#: Bytes in the database of a reading (a voltage, its time and its flag), and those of a frame besides its readings.
 _READING: Final = 17
 _FRAME: Final = 1500
 #: Bytes a second of the sampled channels: four of them, in blocks of their own at every frame.
@@ -27,19 +27,21 @@ _TWICE: Final = 2
 
 def enough_disk(asked: Asked) -> Finding:
     """Compare the free space where the run writes with what it needs."""
-    stated = asked.settings.disk_GB
-    needed = estimate_run_bytes(asked) if stated is None else stated * _GB
+    stated_GB = asked.settings.disk_GB
+    needed = estimate_run_bytes(asked) if stated_GB is None else stated_GB * _GB
     file = sqlite_file(parse_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
-    on_disks = {_there(one).stat().st_dev: one for one in reversed(folders)}  # each is asked once: others write too
-    free = min((shutil.disk_usage(_there(one)).free, str(one)) for one in on_disks.values())
-    what = "the estimate for this run" if stated is None else "disk_GB of the station"
-    words = f"{free[0] / _GB:.1f} GB free at {free[1]}, {needed / _GB:.1f} GB needed ({what})"
+    on_disks = {
+        _there(folder).stat().st_dev: folder for folder in reversed(folders)
+    }  # each is asked once: others write too
+    least_free = min((shutil.disk_usage(_there(folder)).free, str(folder)) for folder in on_disks.values())
+    estimated_by = "the estimate for this run" if stated_GB is None else "disk_GB of the station"
+    clause = f"{least_free[0] / _GB:.1f} GB free at {least_free[1]}, {needed / _GB:.1f} GB needed ({estimated_by})"
     if file is None:
-        words += "; the disk of the database server is not seen from here"
-    if free[0] >= needed:
-        return Finding(True, words)
-    return Finding(False, words, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
+        clause += "; the disk of the database server is not seen from here"
+    if least_free[0] >= needed:
+        return Finding(True, clause)
+    return Finding(False, clause, "free some space, or use another folder or database", "CBSR_QA_VAR, --database")
 
 
 def estimate_run_bytes(asked: Asked) -> float:

@@ -37,8 +37,8 @@ CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.BACKLOG: backlog_sent,
     GateCheck.BEFORE_RUN: plugins_agree,
 }
-#: Asked again when a run is resumed: what may have changed since, and matters for the rest of the run. The others
-#: decide whether a run may begin, and this one has.
+#: Checks that are asked again when a run is resumed: their answers may have changed and matter for its rest. Others
+#: decide whether a run may begin, and this one has begun.
 ASKED_AGAIN: Final = frozenset({GateCheck.CALIBRATION_DUE, GateCheck.DISK, GateCheck.OPERATOR})
 #: A golden sensor is run again and again, also while the station is out of control, to find out about the station.
 _NOT_OF_GOLDEN: Final = frozenset({GateCheck.RETEST, GateCheck.GOLDEN, GateCheck.CHARTS})
@@ -59,7 +59,7 @@ def ask_gate(
     Parameters
     ----------
     store : None if there is no database yet.
-    checks : to ask.
+    checks : checks to ask.
     """
     asked = Asked(request, configuration, plugins, store, RealClock().wall())
     return tuple(_answer(check, asked) for check in GateCheck if check in checks)
@@ -79,24 +79,24 @@ def ask_gate_again(
     plugins: Plugins,
     store: Repository,
 ) -> tuple[GateAnswer, ...]:
-    """Return answers with those of some checks as they are now. RefusedError if one of them refuses."""
-    now = {one.check: one for one in ask_gate(request, configuration, plugins, store, checks)}
-    if (refused := gate_refusal(now.values())) is not None:
+    """Return answers with those of some checks as they are now. Raise RefusedError if one of them refuses."""
+    answer_by_check = {answer.check: answer for answer in ask_gate(request, configuration, plugins, store, checks)}
+    if (refused := gate_refusal(answer_by_check.values())) is not None:
         raise refused
-    return tuple(now.get(one.check, one) for one in answers)
+    return tuple(answer_by_check.get(answer.check, answer) for answer in answers)
 
 
 def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     """Return the one error for all checks that refuse; None if none does."""
-    refused = [one for one in answers if one.outcome is GateOutcome.REFUSED]
-    if not refused:
+    refused_answers = [answer for answer in answers if answer.outcome is GateOutcome.REFUSED]
+    if not refused_answers:
         return None
-    listed = "\n".join(f"  {one.check}: {one.words}" for one in refused)
-    remedies = [f"{one.check}: {one.remedy}{_command(one)}" for one in refused if one.remedy]
-    names = " ".join(f"--override {one.check}" for one in refused)
+    refused_lines = "\n".join(f"  {answer.check}: {answer.words}" for answer in refused_answers)
+    remedies = [f"{answer.check}: {answer.remedy}{_command(answer)}" for answer in refused_answers if answer.remedy]
+    names = " ".join(f"--override {answer.check}" for answer in refused_answers)
     override = f"{AT_COMMAND_LINE}override by {names} --override-by NAME --override-why TEXT"
     return RefusedError(
-        f"the gate of this station refuses the run:\n{listed}", remedy="\n".join([*remedies, override])
+        f"the gate of this station refuses the run:\n{refused_lines}", remedy="\n".join([*remedies, override])
     )
 
 
@@ -117,8 +117,8 @@ def _answer(check: GateCheck, asked: Asked) -> GateAnswer:
         return GateAnswer(check, policy, GateOutcome.WARNED, finding.words, finding.remedy, command=finding.command)
     override = asked.request.override
     if check in override.checks:
-        by, why = override.by, override.why.strip()
-        return GateAnswer(check, policy, GateOutcome.OVERRIDDEN, finding.words, finding.remedy, by, why)
+        operator, reason = override.by, override.why.strip()
+        return GateAnswer(check, policy, GateOutcome.OVERRIDDEN, finding.words, finding.remedy, operator, reason)
     return GateAnswer(check, policy, GateOutcome.REFUSED, finding.words, finding.remedy, command=finding.command)
 
 

@@ -21,10 +21,10 @@ def operator_known(asked: Asked) -> Finding:
         )
     if not name:
         return Finding(False, "no operator was named", *_REMEDY)
-    known = _find_operator(asked.settings, name)
-    if known is None:
+    operator = _find_operator(asked.settings, name)
+    if operator is None:
         return Finding(False, f"{name} is not on the list of operators", *_REMEDY)
-    return _pin_finding(request, known)
+    return _pin_finding(request, operator)
 
 
 def _pin_finding(request: GateRequest, known: Operator) -> Finding:
@@ -45,18 +45,22 @@ def _pin_finding(request: GateRequest, known: Operator) -> Finding:
 
 def asks_pin(settings: GateSettings, operator: str) -> bool:
     """Whether a run of this operator asks for a PIN."""
-    known = _find_operator(settings, operator)
-    return settings.policy(GateCheck.OPERATOR) is not GatePolicy.OFF and known is not None and bool(known.pin)
+    known_operator = _find_operator(settings, operator)
+    return (
+        settings.policy(GateCheck.OPERATOR) is not GatePolicy.OFF
+        and known_operator is not None
+        and bool(known_operator.pin)
+    )
 
 
 def is_pin_of(settings: GateSettings, operator: str, pin: str) -> bool:
     """Whether a PIN is that of a listed operator, who has one."""
-    known = _find_operator(settings, operator)
-    return known is not None and bool(known.pin) and pin_matches(pin, known.pin)
+    known_operator = _find_operator(settings, operator)
+    return known_operator is not None and bool(known_operator.pin) and pin_matches(pin, known_operator.pin)
 
 
 def _find_operator(settings: GateSettings, name: str) -> Operator | None:
-    return next((one for one in settings.operators if _same(one.name, name)), None)
+    return next((candidate for candidate in settings.operators if _same(candidate.name, name)), None)
 
 
 def _same(one: str, other: str) -> bool:

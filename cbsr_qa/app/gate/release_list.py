@@ -1,4 +1,4 @@
-"""What is released: every release and withdrawal, and which of them hold."""
+"""Released contents: every release and withdrawal, and which of them hold."""
 
 from dataclasses import dataclass, replace
 from typing import Final
@@ -35,20 +35,21 @@ class ReleaseList:
 
 
 def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
-    """List releases. StoreError if there is no database, or it cannot be read."""
+    """List releases. Raise StoreError if there is no database, or it cannot be read."""
     with open_store(database_url(database), create=False) as store:
         releases, unread = store.releases.read_all(), store.releases.name_unread()
-    latest = {(one.kind, one.sha256): one.release for one in releases}
+    latest = {(release.kind, release.sha256): release.release for release in releases}
     listed = tuple(
-        fill_from_object(ListedRelease, one, holds=latest[one.kind, one.sha256] == one.release) for one in releases
+        fill_from_object(ListedRelease, release, holds=latest[release.kind, release.sha256] == release.release)
+        for release in releases
     )
-    released = sum(one.holds and one.action == "released" for one in listed)
+    released = sum(release.holds and release.action == "released" for release in listed)
     table = text_table(
         "Releases and withdrawals, the last one below; the latest of a content holds.",
         ("when (UTC)", "kind", "name", "SHA-256", "what", "by", "why"),
-        [_row(one) for one in listed],
+        [_row(release) for release in listed],
     )
-    headline, facts = f"{plural(released, 'content')} released", [("passed over", words) for words in unread]
+    headline, facts = f"{plural(released, 'content')} released", [("passed over", row) for row in unread]
     outcome = answer(ReleaseList(listed, unread), headline, "", facts)
     if unread:
         banner = Banner(
@@ -59,14 +60,14 @@ def list_releases(database: str | None) -> CommandOutcome[ReleaseList]:
 
 
 def _row(release: ListedRelease) -> tuple[str | Cell, ...]:
-    what = release.action if release.holds else f"{release.action}, superseded"
+    action = release.action if release.holds else f"{release.action}, superseded"
     passes = release.holds and release.action == "released"
     return (
         f"{release.at:%Y-%m-%d %H:%M}",
         release.kind,
         release.name,
         release.sha256[:_DIGITS],
-        Cell(what, Outcome.PASS if passes else None),
+        Cell(action, Outcome.PASS if passes else None),
         release.by,
         release.why,
     )

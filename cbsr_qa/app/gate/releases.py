@@ -42,7 +42,7 @@ class ReleaseRequest:
 
 @dataclass(frozen=True, slots=True)
 class Released(Release):
-    """The release or withdrawal that was stored, and what was said of this content before."""
+    """The stored release or withdrawal, and the one of this content before it."""
 
     before: Release | None
 
@@ -53,49 +53,52 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
     Raises
     ------
     ConfigError
-        If the file does not exist, is no file of a run or has mistakes, or name or reason is missing.
+        If the file does not exist, is not a file of a run or has mistakes, or if name or reason is missing.
     StoreError
         If the database cannot be used.
     """
-    for option, text, what in (("--by", request.by, "who decides"), ("--why", request.why, "for what reason")):
+    for option, text, missing_fact in (
+        ("--by", request.by, "who decides"),
+        ("--why", request.why, "for what reason"),
+    ):
         if not text.strip():
-            raise ConfigError(f"a release needs {option}", remedy=f"say {what}")
-    by, why = validate_operator(request.by), validate_reason(request.why)
+            raise ConfigError(f"a release needs {option}", remedy=f"say {missing_fact}")
+    operator, reason = validate_operator(request.by), validate_reason(request.why)
     kind = _kind(request.file)
     content = FileContent.from_table(kind, _LOADERS[kind](request.file, discover()).document.data)
     with open_store(database_url(request.database)) as store:
-        before = store.releases.read_latest(content.kind, content.sha256)
-        if request.withdraw and (before is None or before.action != "released"):
+        earlier_release = store.releases.read_latest(content.kind, content.sha256)
+        if request.withdraw and (earlier_release is None or earlier_release.action != "released"):
             raise ConfigError(f"{content.kind} {content.name!r} is not released with this content")
-        made = Released(
+        released = Released(
             release=store.new_id(),
             kind=content.kind,
             name=content.name,
             sha256=content.sha256,
             action="withdrawn" if request.withdraw else "released",
-            by=by,
-            why=why,
+            by=operator,
+            why=reason,
             at=RealClock().wall(),
-            before=before,
+            before=earlier_release,
         )
-        store.releases.save(made)
-    facts = (("Content", f"SHA-256 {made.sha256}"), ("Why", made.why))
-    return answer(made, f"{made.kind} {made.name} {made.action} by {made.by}", "", facts)
+        store.releases.save(released)
+    facts = (("Content", f"SHA-256 {released.sha256}"), ("Why", released.why))
+    return answer(released, f"{released.kind} {released.name} {released.action} by {released.by}", "", facts)
 
 
 def _kind(file: str) -> DocumentKind:
-    """Return what a file is by its table, and a shipped one by its name. ConfigError if it is neither."""
-    found = list(_kinds(file))
-    if len(found) == 1:
-        return found[0]
-    known = ", ".join(kind.noun for kind in _LOADERS)
-    if not found:
+    """Return what a file is by its table, and a shipped one by its name. Raise ConfigError if it is neither."""
+    kinds = list(_kinds(file))
+    if len(kinds) == 1:
+        return kinds[0]
+    known_kinds = ", ".join(kind.noun for kind in _LOADERS)
+    if not kinds:
         open_document(DocumentKind.STATION, file)  # says what is wrong with a file that cannot be read
         raise ConfigError(
-            f"{echo(file)} is no file of a run", remedy=f"give the path or the shipped name of a {known}"
+            f"{echo(file)} is no file of a run", remedy=f"give the path or the shipped name of a {known_kinds}"
         )
     raise ConfigError(
-        f"{echo(file)} is the name of a {' and a '.join(kind.noun for kind in found)}", remedy="give the path"
+        f"{echo(file)} is the name of a {' and a '.join(kind.noun for kind in kinds)}", remedy="give the path"
     )
 
 

@@ -1,4 +1,4 @@
-"""What the gate is asked about, and what a check finds."""
+"""Requests to the gate, and findings of its checks."""
 
 from collections.abc import Callable
 from dataclasses import dataclass, field
@@ -26,20 +26,20 @@ class Override:
     why: str = ""
 
     def validate(self) -> Self:
-        """Return itself. ConfigError if a check is unknown, or name or reason is missing or not allowed."""
-        known = [str(check) for check in GateCheck]
+        """Return itself. Raise ConfigError if a check is unknown, or name or reason is missing or not allowed."""
+        known_checks = [str(check) for check in GateCheck]
         for name in self.checks:
-            if name not in known:
-                near = get_close_matches(name, known, n=1)
+            if name not in known_checks:
+                near = get_close_matches(name, known_checks, n=1)
                 hint = f"did you mean {near[0]!r}? " if near else ""
-                remedy = f"{hint}checks: {', '.join(known)}"
+                remedy = f"{hint}checks: {', '.join(known_checks)}"
                 raise ConfigError(f"there is no check {echo(name)} to override", remedy=remedy)
         if not self.checks:
             if self.by or self.why:
-                raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known)}")
+                raise ConfigError("an override needs --override", remedy=f"name a check: {', '.join(known_checks)}")
             return self
-        given = {"--override-by": self.by, "--override-why": self.why}
-        absent = [option for option, text in given.items() if not text.strip()]
+        text_by_option = {"--override-by": self.by, "--override-why": self.why}
+        absent = [option for option, text in text_by_option.items() if not text.strip()]
         if absent:
             raise ConfigError(f"an override needs {' and '.join(absent)}", remedy="say who decides, and why")
         validate_operator(self.by)
@@ -54,12 +54,12 @@ class GateRequest:
     Parameters
     ----------
     serial, batch, operator : checked names.
-    override : checked.
+    override : checked override.
     golden : whether the run measures the golden sensor of a station check.
     resumed : whether the run goes on with earlier loads.
     pin : asks for the operator's PIN; None if nobody can be asked. Called only if the station file has one.
     preview : whether the answers are only shown; no PIN is asked for.
-    tested_by : another process that tests the sensor with this recipe now; empty for none.
+    tested_by : name of another process that tests the sensor with this recipe now; empty for none.
     database : URL.
     folders : other folders the run writes to.
     """

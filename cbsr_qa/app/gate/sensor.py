@@ -25,35 +25,39 @@ def serial_fits(asked: Asked) -> Finding:
 def retest_allowed(asked: Asked) -> Finding:
     """Count finished runs of this sensor and recipe; those of station checks, aborted and broken ones do not count.
 
-    A run of the sensor that was altered since counts: what it was cannot be known. A recent run of another sensor
+    An altered run of the sensor counts, as its content is not known. A recent run of another sensor
     that was altered refuses: it may have been given that serial number.
     """
     recipe, serial = asked.configuration.recipe.name, asked.request.serial
     if asked.request.tested_by:
-        words = f"{serial} is being tested with {recipe} now, by {asked.request.tested_by}"
-        return Finding(False, words, "wait for the verdict of that run")
+        clause = f"{serial} is being tested with {recipe} now, by {asked.request.tested_by}"
+        return Finding(False, clause, "wait for the verdict of that run")
     tries = () if asked.store is None else asked.store.sensors.read_history(asked.sensor, recipe).tries
     elsewhere = {} if asked.store is None else asked.store.sensors.find_altered_elsewhere(serial)
     for problem in elsewhere.values():
-        words = f"{problem}; it may be a run of {serial}"
-        return Finding(False, words, "restore the database from a copy; cbsr-qa db check names what was altered")
-    finished = [one for one in tries if one.changed or one.end is EndReason.FINISHED]
-    passed = [one for one in finished if _final_outcome(one) in _PASSED]
+        clause = f"{problem}; it may be a run of {serial}"
+        return Finding(False, clause, "restore the database from a copy; cbsr-qa db check names what was altered")
+    finished_tries = [attempt for attempt in tries if attempt.changed or attempt.end is EndReason.FINISHED]
+    passed = [attempt for attempt in finished_tries if _final_outcome(attempt) in _PASSED]
     if passed:
         latest = passed[-1]
-        words = f"{serial} already passed {recipe} on {latest.day} (run {latest.run})"
-        return Finding(False, words, "take the next sensor")
-    most = asked.settings.retest_runs
-    count = f"{len(finished)} finished run{'' if len(finished) == 1 else 's'} of {serial} with {recipe}"
-    if missing := [one.run for one in finished if not one.changed and _final_outcome(one) is None]:
-        count += f", run {missing[-1]} without a result yet (cbsr-qa run --resume {missing[-1]} computes it)"
-    if most is None:
-        return Finding(True, f"{count}, none of them passed" if finished else count)
-    if len(finished) < most:
-        return Finding(True, f"{count}, at most {most} allowed")
+        clause = f"{serial} already passed {recipe} on {latest.day} (run {latest.run})"
+        return Finding(False, clause, "take the next sensor")
+    most_runs = asked.settings.retest_runs
+    count = f"{len(finished_tries)} finished run{'' if len(finished_tries) == 1 else 's'} of {serial} with {recipe}"
+    if without_result := [
+        attempt.run for attempt in finished_tries if not attempt.changed and _final_outcome(attempt) is None
+    ]:
+        count += (
+            f", run {without_result[-1]} without a result yet (cbsr-qa run --resume {without_result[-1]} computes it)"
+        )
+    if most_runs is None:
+        return Finding(True, f"{count}, none of them passed" if finished_tries else count)
+    if len(finished_tries) < most_runs:
+        return Finding(True, f"{count}, at most {most_runs} allowed")
     return Finding(
         False,
-        f"{count}; no more than {most} allowed, so it may not be tested again",
+        f"{count}; no more than {most_runs} allowed, so it may not be tested again",
         "set the sensor aside: it has failed as often as allowed",
     )
 

@@ -30,12 +30,12 @@ def gate_outcome(
 ) -> CommandOutcome[GateShown]:
     """Lay out the answers; the exit code is 2 if the run would be refused."""
     error = gate_refusal(answers)
-    refused = None if error is None else fill_from_object(Refusal, error)
+    refusal = None if error is None else fill_from_object(Refusal, error)
     banner = Banner("pass", "✓", "The gate lets this run begin", f"{serial} with {recipe} on {station}")
-    if refused is not None:
-        names = ", ".join(str(one.check) for one in answers if one.outcome is GateOutcome.REFUSED)
+    if refusal is not None:
+        names = ", ".join(str(answer.check) for answer in answers if answer.outcome is GateOutcome.REFUSED)
         banner = Banner("fail", "✗", "The gate refuses this run", f"{names}: {serial} with {recipe} on {station}")
-    todo = tuple((str(one.check), one.instruction) for one in answers if one.remedy)
+    todo = tuple((str(answer.check), answer.instruction) for answer in answers if answer.remedy)
     page = Page("Gate", serial, banner, todo)
-    shown = GateShown(serial, station, recipe, asks_pin, answers, refused)
-    return CommandOutcome(shown, page, (Section("Answers", (gate_table("", answers),)),), 0 if error is None else 2)
+    result = GateShown(serial, station, recipe, asks_pin, answers, refusal)
+    return CommandOutcome(result, page, (Section("Answers", (gate_table("", answers),)),), 0 if error is None else 2)

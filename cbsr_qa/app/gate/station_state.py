@@ -9,9 +9,9 @@ from cbsr_qa.config.merging import FileContent, list_files
 from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
 
-#: How far ahead the clock of another computer may be.
+#: Time by which the clock of another computer may be ahead.
 _CLOCKS: Final = timedelta(minutes=1)
-#: How the subject of a check's lines about the golden sensor begins.
+#: Beginning of the subject of a check's lines about the golden sensor.
 _SUBJECT: Final = "golden sensor"
 
 
@@ -22,25 +22,32 @@ def golden_measured(asked: Asked) -> Finding:
     check = None if asked.store is None else asked.store.stations.read_latest_golden_check(station)
     if asked.store is None or check is None or check.golden_run is None:
         return Finding(False, f"no golden sensor was ever measured on station {station}", *remedy)
-    at = f"the golden sensor of {check.checked_at:%Y-%m-%d %H:%M} UTC"
+    golden_words = f"the golden sensor of {check.checked_at:%Y-%m-%d %H:%M} UTC"
     golden_lines = [line for line in check.results if line.subject.startswith(_SUBJECT)]
     outcome = worst_check(golden_lines)
     unsigned = asked.store.key_id is not None and check.sealed in (CheckSeal.NONE, CheckSeal.DIGEST)
     if unsigned or outcome not in (CheckOutcome.OK, CheckOutcome.WARNING):
-        why = f"did not pass: {outcome}" if not unsigned else "is not signed, and a signing key is set"
-        return Finding(False, f"{at} {check.altered or why} (check {check.check})", *remedy)
+        problem = f"did not pass: {outcome}" if not unsigned else "is not signed, and a signing key is set"
+        return Finding(False, f"{golden_words} {check.altered or problem} (check {check.check})", *remedy)
     age, hours = asked.now - check.checked_at, asked.settings.golden_hours
     if age < -_CLOCKS:
-        return Finding(False, f"{at} is later than this computer's clock", "set the clock, then measure it again")
-    if hours is not None and age > timedelta(hours=hours):
-        words = f"{at} was measured {age / timedelta(hours=1):.1f} h ago; the station allows {hours:g} h"
-        return Finding(False, words, *remedy)
-    most = asked.settings.golden_runs
-    if most is not None and asked.store.stations.count_runs_since(station, check.golden_run, most) >= most:
         return Finding(
-            False, f"{at} was measured {most} or more runs ago; the station allows fewer than {most}", *remedy
+            False, f"{golden_words} is later than this computer's clock", "set the clock, then measure it again"
         )
-    return Finding(True, f"{at} passed")
+    if hours is not None and age > timedelta(hours=hours):
+        clause = f"{golden_words} was measured {age / timedelta(hours=1):.1f} h ago; the station allows {hours:g} h"
+        return Finding(False, clause, *remedy)
+    most_runs = asked.settings.golden_runs
+    if (
+        most_runs is not None
+        and asked.store.stations.count_runs_since(station, check.golden_run, most_runs) >= most_runs
+    ):
+        return Finding(
+            False,
+            f"{golden_words} was measured {most_runs} or more runs ago; the station allows fewer than {most_runs}",
+            *remedy,
+        )
+    return Finding(True, f"{golden_words} passed")
 
 
 def charts_in_control(asked: Asked) -> Finding:
@@ -48,14 +55,14 @@ def charts_in_control(asked: Asked) -> Finding:
     station = asked.configuration.station.name
     charts = None if asked.store is None else charts_after(asked.store, station)
     if charts is None:
-        words = f"station {station} has no control chart with limits"
+        clause = f"station {station} has no control chart with limits"
         return Finding(
-            False, words, "set the limits of one", f"cbsr-qa charts --station {station} --reference-runs N"
+            False, clause, "set the limits of one", f"cbsr-qa charts --station {station} --reference-runs N"
         )
     if charts.signals:
-        words = "; ".join(signal.words() for signal in charts.signals)
+        clause = "; ".join(signal.words() for signal in charts.signals)
         command = f"cbsr-qa station check {station} --golden SERIAL, cbsr-qa charts --station {station}"
-        return Finding(False, words, "measure a golden sensor, and look at the charts", command)
+        return Finding(False, clause, "measure a golden sensor, and look at the charts", command)
     notes = f" ({'; '.join(charts.notes)})" if charts.notes else ""
     return Finding(True, f"none of {charts.charts} control charts signals{notes}")
 
@@ -64,14 +71,14 @@ def instruments_in_date(asked: Asked) -> Finding:
     """Look for instruments whose date in the station file has passed."""
     today = asked.now.date()
     dated = [spec for spec in asked.configuration.station.instruments if spec.calibration_due]
-    late = [
-        f"{one.role} ({one.driver}) was due on {one.calibration_due}"
-        for one in dated
-        if past_due(one.calibration_due, today)
+    past_due_words = [
+        f"{instrument.role} ({instrument.driver}) was due on {instrument.calibration_due}"
+        for instrument in dated
+        if past_due(instrument.calibration_due, today)
     ]
-    if late:
+    if past_due_words:
         remedy = "have it calibrated and give the new calibration_due in the station file"
-        return Finding(False, f"the calibration of {', '.join(late)}", remedy)
+        return Finding(False, f"the calibration of {', '.join(past_due_words)}", remedy)
     if not dated:
         return Finding(True, "no instrument states a calibration_due")
     first = min(str(spec.calibration_due) for spec in dated)
@@ -86,24 +93,24 @@ def past_due(calibration_due: str | None, today: date) -> bool:
 def files_released(asked: Asked) -> Finding:
     """Look for files whose content nobody released, or whose release was withdrawn."""
     files = list_files(asked.configuration)
-    missing = [one for one in files if not _is_released(asked.store, one)]
-    if not missing:
+    unreleased = [file for file in files if not _is_released(asked.store, file)]
+    if not unreleased:
         return Finding(True, f"all {len(files)} files are released")
-    named = ", ".join(
-        f"{one.kind} {one.name} ({_state(asked.store, one)}, SHA-256 {one.sha256[:12]})" for one in missing
+    unreleased_words = ", ".join(
+        f"{file.kind} {file.name} ({_state(asked.store, file)}, SHA-256 {file.sha256[:12]})" for file in unreleased
     )
-    return Finding(False, named, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
+    return Finding(False, unreleased_words, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
 
 
 def _is_released(store: Repository | None, file: FileContent) -> bool:
-    found = None if store is None else store.releases.read_latest(file.kind, file.sha256)
-    return found is not None and found.action == "released"
+    latest = None if store is None else store.releases.read_latest(file.kind, file.sha256)
+    return latest is not None and latest.action == "released"
 
 
 def _state(store: Repository | None, file: FileContent) -> str:
-    found = None if store is None else store.releases.read_latest(file.kind, file.sha256)
-    if found is not None:
-        return f"withdrawn by {found.by}"
+    latest = None if store is None else store.releases.read_latest(file.kind, file.sha256)
+    if latest is not None:
+        return f"withdrawn by {latest.by}"
     unread = () if store is None else store.releases.name_unread(file.kind, file.sha256)
     return "; ".join(["not released", *unread])
 
@@ -116,7 +123,7 @@ def backlog_sent(asked: Asked) -> Finding:
     if asked.store is None:
         return Finding(True, "nothing waits")
     backlog = asked.store.read_backlog()
-    words = f"{backlog.words}; the station allows {limit_h:g} h"
+    clause = f"{backlog.words}; the station allows {limit_h:g} h"
     if not backlog.late(limit_h) and not backlog.unread:
-        return Finding(True, words)
-    return Finding(False, words, "send it to the central database", "cbsr-qa db sync")
+        return Finding(True, clause)
+    return Finding(False, clause, "send it to the central database", "cbsr-qa db sync")

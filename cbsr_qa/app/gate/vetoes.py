@@ -20,11 +20,11 @@ def plugins_agree(asked: Asked) -> Finding:
     )
     if not answers:
         return Finding(None, "no plugin is asked before a run")
-    objections = [found for one in answers if (found := _objection(*one)) is not None]
+    objections = [objection for answer in answers if (objection := _objection(*answer)) is not None]
     if not objections:
         return Finding(True, f"no objection: {', '.join(sorted(name for name, _, _ in answers))}")
-    words, remedies = zip(*objections, strict=True)
-    return Finding(False, "; ".join(words), "; ".join(filter(None, remedies)))
+    reasons, remedies = zip(*objections, strict=True)
+    return Finding(False, "; ".join(reasons), "; ".join(filter(None, remedies)))
 
 
 def _objection(plugin: str, answer: object, why_none: str) -> tuple[str, str] | None:
@@ -34,7 +34,7 @@ def _objection(plugin: str, answer: object, why_none: str) -> tuple[str, str] | 
     if answer is None:
         return None
     if not isinstance(answer, Veto) or not all(
-        isinstance(one, str) for one in (answer.name, answer.reason, answer.remedy)
+        isinstance(text, str) for text in (answer.name, answer.reason, answer.remedy)
     ):
         return f"plugin {plugin} answered {echo(type(answer).__name__)}, which is neither None nor a Veto", ""
     return f"{_cut(answer.name) or plugin}: {_cut(answer.reason) or 'no reason given'}", _cut(answer.remedy)

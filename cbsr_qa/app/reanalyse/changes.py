@@ -1,4 +1,4 @@
-"""What a re-analysis changes: values by measurement, and verdicts."""
+"""Changes by a re-analysis: values by measurement, and verdicts."""
 
 from array import array
 from collections import Counter
@@ -23,8 +23,9 @@ class ValueChange:
     ----------
     values : pairs of values, the valid one and the new one.
     changed : pairs that differ.
-    median, largest : of new − valid over all pairs, in the unit; the largest by its size. None without pairs.
-    run, serial : where the largest is; empty where nothing changed.
+    median, largest : median and largest of new − valid over all pairs, in the unit; the largest by its size. None
+        without pairs.
+    run, serial : run and serial number where the largest is; empty where nothing changed.
     gained, lost : values that only the new analysis has, and that only the valid one has.
     """
 
@@ -44,7 +45,7 @@ class ValueChange:
 
 @dataclass(frozen=True, slots=True)
 class NamedRun:
-    """A run, and what is said of it."""
+    """A run, and a remark on it."""
 
     run: str
     serial: str
@@ -64,8 +65,8 @@ class Flip:
     Parameters
     ----------
     was, now, reason : outcome of the valid analysis (None: there was none) and of the new one, with its reason.
-    overridden_to : what a person decided against the valid verdict; None without that.
-    calibration : that an earlier analysis of the run issued and that is still stored; None without one.
+    overridden_to : verdict that a person decided on against the valid one; None without that.
+    calibration : calibration that an earlier analysis of the run issued and that is still stored; None without one.
     """
 
     run: str
@@ -98,23 +99,23 @@ class Changes:
 
     def add(self, line: RunLine, valid: Iterable[Measurement], new: Iterable[Measurement]) -> None:
         """Add a run's values of both analyses."""
-        before, after = _index_values(valid), _index_values(new)
-        for key in dict.fromkeys((*before, *after)):
+        valid_by_place, new_by_place = _index_values(valid), _index_values(new)
+        for key in dict.fromkeys((*valid_by_place, *new_by_place)):
             values = self._found.setdefault(key[:2], _Values())
-            was, now = before.get(key), after.get(key)
-            if was is None or now is None:
-                values.gained += now is not None
-                values.lost += was is not None
+            valid_value, new_value = valid_by_place.get(key), new_by_place.get(key)
+            if valid_value is None or new_value is None:
+                values.gained += new_value is not None
+                values.lost += valid_value is not None
                 continue
-            values.changes.append(now - was)
-            if abs(now - was) > abs(values.largest):
-                values.largest, values.line = now - was, line
+            values.changes.append(new_value - valid_value)
+            if abs(new_value - valid_value) > abs(values.largest):
+                values.largest, values.line = new_value - valid_value, line
 
     def values(self) -> Iterator[ValueChange]:
         """Yield every measurement with its changes, by name."""
-        for (key, unit), found in sorted(self._found.items(), key=lambda item: item[0]):
-            changes = np.frombuffer(found.changes, dtype=np.float64) if found.changes else np.empty(0)
-            if not (len(changes) or found.gained or found.lost):
+        for (key, unit), compared in sorted(self._found.items(), key=lambda item: item[0]):
+            changes = np.frombuffer(compared.changes, dtype=np.float64) if compared.changes else np.empty(0)
+            if not (len(changes) or compared.gained or compared.lost):
                 continue  # neither analysis has a value
             yield ValueChange(
                 key.name,
@@ -124,11 +125,11 @@ class Changes:
                 len(changes),
                 int(np.count_nonzero(changes)),
                 float(np.median(changes)) if len(changes) else None,
-                found.largest if len(changes) else None,
-                "" if found.line is None else found.line.run,
-                "" if found.line is None else found.line.serial,
-                found.gained,
-                found.lost,
+                compared.largest if len(changes) else None,
+                "" if compared.line is None else compared.line.run,
+                "" if compared.line is None else compared.line.serial,
+                compared.gained,
+                compared.lost,
             )
 
 
@@ -138,9 +139,15 @@ _Place = tuple[MetricKey, str, str, int | None, int | None, int]
 def _index_values(measurements: Iterable[Measurement]) -> dict[_Place, float | None]:
     """Return values by what they are of; equal ones are counted."""
     count: Counter[tuple[MetricKey, str, str, int | None, int | None]] = Counter()
-    found: dict[_Place, float | None] = {}
-    for one in measurements:
-        key = (MetricKey(one.name, one.phase, one.qualifier), one.unit, one.location, one.trial, one.load)
-        found[*key, count[key]] = one.value
+    value_by_place: dict[_Place, float | None] = {}
+    for measurement in measurements:
+        key = (
+            MetricKey(measurement.name, measurement.phase, measurement.qualifier),
+            measurement.unit,
+            measurement.location,
+            measurement.trial,
+            measurement.load,
+        )
+        value_by_place[*key, count[key]] = measurement.value
         count[key] += 1
-    return found
+    return value_by_place

@@ -14,18 +14,22 @@ from cbsr_qa.domain.results.measurement import decide
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.reanalyses import Reanalysis, key_of
 
-#: Tables of a recipe that say nothing of how a run is imaged and measured.
+#: Tables of a recipe that do not affect how a run is imaged and measured.
 _AFTERWARDS: Final = ("limits", "limits_version", "report")
 
 
 def judge_stored(store: Repository, job: Job) -> Reanalysis | None:
     """Return the result of a job from stored measurements; None if none were made as its recipe says.
 
-    None by the run's own recipe too: then somebody wants to know whether its analysis can be repeated.
+    Also return None if the job's recipe is the run's own: the user then wants to know whether the analysis can be
+    repeated.
     """
-    own, wanted = canonical_json(json.loads(store.runs.read_configuration(job.run))["recipe"]), _measuring(job.recipe)
-    for stored in _list_candidates(store, job, own) if own != job.recipe else ():
-        if stored.measurements and stored.software == job.software and _measuring(stored.recipe) == wanted:
+    own_recipe, wanted_measuring = (
+        canonical_json(json.loads(store.runs.read_configuration(job.run))["recipe"]),
+        _measuring(job.recipe),
+    )
+    for stored in _list_candidates(store, job, own_recipe) if own_recipe != job.recipe else ():
+        if stored.measurements and stored.software == job.software and _measuring(stored.recipe) == wanted_measuring:
             measurements = judge_again(stored.measurements, load_recipe(json.loads(job.recipe)).value.limits)
             return replace(
                 stored,
@@ -41,9 +45,9 @@ def judge_stored(store: Repository, job: Job) -> Reanalysis | None:
 def _list_candidates(store: Repository, job: Job, own: str) -> Iterator[Reanalysis]:
     """Yield the re-analyses of a run that are of the same data, then its analyses by its own recipe."""
     for name in store.reanalyses.list_names(job.run):
-        made = store.reanalyses.load(name)
-        if made.key_sha256 == key_of(job.data_sha256, made.recipe, job.software):
-            yield made
+        candidate = store.reanalyses.load(name)
+        if candidate.key_sha256 == key_of(job.data_sha256, candidate.recipe, job.software):
+            yield candidate
     for analysis in store.analyses.load(job.run):
         if analysis.adoption is None:
             yield fill_from_object(Reanalysis, analysis, key_sha256="", recipe=own)

@@ -39,7 +39,7 @@ from cbsr_qa.system.clock import RealClock
 
 #: Least time between two lines of progress [s].
 _SPOKEN_S: Final = 5.0
-#: What takes less has no progress [s].
+#: Time below which a step shows no progress [s].
 _PATIENCE_S: Final = 1.0
 
 Tell = Callable[[str], None]
@@ -65,8 +65,8 @@ class _Progress:
             return
         self.spoken_s = now_s
         rate = self.done / max(now_s, 1e-3)
-        left = f", {duration((self.of - self.done) / rate)} left" if self.done < self.of else ""
-        self.tell(f"{self.what}: {self.done} of {self.of} runs, {rate:.3g} runs/s{left}")
+        time_left = f", {duration((self.of - self.done) / rate)} left" if self.done < self.of else ""
+        self.tell(f"{self.what}: {self.done} of {self.of} runs, {rate:.3g} runs/s{time_left}")
 
 
 class _Session:
@@ -76,9 +76,9 @@ class _Session:
         self._request, self._store, self._tell = request, store, tell
         self._plugins = plugins
         self._software = software_versions(plugins)
-        loaded = None if request.recipe is None else load_recipe(request.recipe, plugins)
-        self.recipe = None if loaded is None else loaded.value
-        self._canonical = None if loaded is None else canonical_json(loaded.document.data)
+        loaded_recipe = None if request.recipe is None else load_recipe(request.recipe, plugins)
+        self.recipe = None if loaded_recipe is None else loaded_recipe.value
+        self._canonical = None if loaded_recipe is None else canonical_json(loaded_recipe.document.data)
         self._clock = RealClock()
         self.lines: dict[str, RunLine] = {}
         self.other_plan: list[NamedRun] = []
@@ -89,7 +89,7 @@ class _Session:
         self.elapsed_s = 0.0
 
     def select(self) -> list[Job]:
-        """Return the jobs that are left; runs that cannot be analysed are named. RefusedError if none is selected."""
+        """Return the remaining jobs and name runs that cannot be analysed. Raise RefusedError if none is selected."""
         lines = self._store.fleet.read_lines(self._request.selection)
         if not lines:
             check_names(self._store, self._request.selection)
@@ -126,43 +126,43 @@ class _Session:
             recipe = self._canonical
         data = self._store.reanalyses.digest_data(line.run)
         key = key_of(data, recipe, self._software)
-        known = None if self._request.fresh else self._store.reanalyses.find(line.run, key)
-        if known is not None:
-            self.stored[line.run] = known
+        stored_name = None if self._request.fresh else self._store.reanalyses.find(line.run, key)
+        if stored_name is not None:
+            self.stored[line.run] = stored_name
             self.reused += 1
             return None
         return Job(line.run, absolute_url(self._request.database), recipe, self._software, data, key)
 
     def check(self, jobs: Iterable[Job]) -> None:
         """Check the recipe's plugins and options on the first run's sensor type, before anything is computed."""
-        first = next(iter(jobs), None)
-        if first is not None and self.recipe is not None:
+        first_job = next(iter(jobs), None)
+        if first_job is not None and self.recipe is not None:
             check_recipe(
-                self.recipe, restore(self._store.runs.read_configuration(first.run)).sensor_type, self._plugins
+                self.recipe, restore(self._store.runs.read_configuration(first_job.run)).sensor_type, self._plugins
             )
 
     def judge(self, jobs: list[Job]) -> list[Job]:
         """Do the jobs for which stored measurements need only to be judged; return those that are left."""
-        left, progress = [], _Progress("judging", len(jobs), self._tell)
+        jobs_left, progress = [], _Progress("judging", len(jobs), self._tell)
         for job in jobs:
             judged = None if self._request.fresh else judge_stored(self._store, job)
             if judged is None:
-                left.append(job)
+                jobs_left.append(job)
             else:
                 self.stored[job.run] = self._store.reanalyses.save(judged)
                 self.judged += 1
             progress.step()
-        return left
+        return jobs_left
 
     def compute(self, jobs: list[Job], workers: Workers[Job, Worked]) -> None:
         """Analyse runs, and store each result as soon as it is there."""
         progress, begun_s = _Progress("analysing", len(jobs), self._tell), self._clock.now()
-        for job, worked in workers.run_jobs(jobs):
+        for job, job_result in workers.run_jobs(jobs):
             line = self.lines[job.run]
-            if isinstance(worked, str):
-                self._cannot(line, worked)
+            if isinstance(job_result, str):
+                self._cannot(line, job_result)
             else:
-                self._keep(line, worked)
+                self._keep(line, job_result)
             progress.step()
         self.elapsed_s = self._clock.now() - begun_s
 
@@ -185,28 +185,35 @@ class _Session:
     def conclude(self, computed: int, where: str) -> Reanalysed:
         """Compare the stored results with the valid analyses, and adopt them if that was requested."""
         changes, flips, warnings = Changes(), list[Flip](), Counter[str]()
-        decided = {line.run: line.overridden_to for line in self._store.fleet.read_lines(self._request.selection)}
-        left: list[NamedRun] = []
+        decision_by_run = {
+            line.run: line.overridden_to for line in self._store.fleet.read_lines(self._request.selection)
+        }
+        overridden_runs: list[NamedRun] = []
         unchanged = adopted = 0
         progress = _Progress("comparing", len(self.stored), self._tell)
         for line in [line for line in self.lines.values() if line.run in self.stored]:
             try:
                 analyses = self._store.analyses.load(line.run)
-                valid = next(iter(analyses), None)
-                new = self._store.reanalyses.load(self.stored[line.run])
+                valid_analysis = next(iter(analyses), None)
+                reanalysis = self._store.reanalyses.load(self.stored[line.run])
             except StoreError as error:
                 self._cannot(line, error.reason)
                 continue
-            before = () if valid is None else valid.measurements
-            changes.add(line, before, new.measurements)
-            warnings.update(set(new.warnings).difference(() if valid is None else valid.warnings))
-            overridden = None if valid is None else decided.get(line.run)
-            if valid is None or valid.verdict.outcome is not new.verdict.outcome:
-                flips.append(_flip(line, analyses, new, overridden))
-            unchanged += valid is not None and (valid.measurements, valid.verdict) == (new.measurements, new.verdict)
+            valid_measurements = () if valid_analysis is None else valid_analysis.measurements
+            changes.add(line, valid_measurements, reanalysis.measurements)
+            warnings.update(
+                set(reanalysis.warnings).difference(() if valid_analysis is None else valid_analysis.warnings)
+            )
+            overridden = None if valid_analysis is None else decision_by_run.get(line.run)
+            if valid_analysis is None or valid_analysis.verdict.outcome is not reanalysis.verdict.outcome:
+                flips.append(_flip(line, analyses, reanalysis, overridden))
+            unchanged += valid_analysis is not None and (valid_analysis.measurements, valid_analysis.verdict) == (
+                reanalysis.measurements,
+                reanalysis.verdict,
+            )
             if self._request.adopt and overridden is not None:
-                left.append(NamedRun.from_line(line, f"overridden to {overridden}"))
-            elif self._request.adopt and not _is_adopted(valid, self.stored[line.run]):
+                overridden_runs.append(NamedRun.from_line(line, f"overridden to {overridden}"))
+            elif self._request.adopt and not _is_adopted(valid_analysis, self.stored[line.run]):
                 self._store.reanalyses.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
                 adopted += 1
             progress.step()
@@ -225,7 +232,7 @@ class _Session:
             flips=tuple(sorted(flips, key=_gravity)),
             not_analysed=tuple(self.not_analysed),
             other_plan=tuple(self.other_plan),
-            left_overridden=tuple(left),
+            left_overridden=tuple(overridden_runs),
             new_warnings=dict(warnings.most_common()),
             workers=where,
             elapsed_s=self.elapsed_s,
@@ -260,13 +267,15 @@ def reanalyse(request: ReanalyseRequest, *, tell: Tell = lambda line: None, begi
         session.check(jobs)
         jobs = session.judge(jobs)
         count = min(request.workers or os.cpu_count() or 1, max(len(jobs), 1))
-        where = f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
+        workers_text = (
+            f"Dask cluster at {request.scheduler}" if request.scheduler else f"{count} processes of this computer"
+        )
         if jobs:
             tell(f"{plural(len(jobs), 'run')} to analyse, {len(session.stored)} stored already")
             with (begin or _beginning(request, count))() as workers:
                 session.compute(jobs, workers)
         computed = len(session.stored) - session.reused - session.judged
-        return session.conclude(computed, where if jobs else "")
+        return session.conclude(computed, workers_text if jobs else "")
 
 
 def _beginning(request: ReanalyseRequest, count: int) -> Begin:
@@ -291,17 +300,17 @@ def _phases(recipe: str) -> tuple[PhaseSpec, ...]:
 
 def phase_difference(run: Iterable[PhaseSpec], recipe: Iterable[PhaseSpec]) -> str:
     """Return how the first phase that differs differs, in words; empty if a run was measured as the recipe says."""
-    before, after = list(run), list(recipe)
-    names = [[phase.name for phase in phases] for phases in (before, after)]
+    run_phases, recipe_phases = list(run), list(recipe)
+    names = [[phase.name for phase in phases] for phases in (run_phases, recipe_phases)]
     if names[0] != names[1]:
         return f"its phases are {', '.join(names[0])}; the recipe's are {', '.join(names[1])}"
-    for was, now in zip(before, after, strict=True):
-        if was.sequence != now.sequence:
-            return f"phase {was.name!r} ran {was.sequence}; the recipe has {now.sequence}"
-        for key in dict.fromkeys((*was.options, *now.options)):
-            old, new = was.options.get(key), now.options.get(key)
+    for old_phase, new_phase in zip(run_phases, recipe_phases, strict=True):
+        if old_phase.sequence != new_phase.sequence:
+            return f"phase {old_phase.name!r} ran {old_phase.sequence}; the recipe has {new_phase.sequence}"
+        for key in dict.fromkeys((*old_phase.options, *new_phase.options)):
+            old, new = old_phase.options.get(key), new_phase.options.get(key)
             if old != new:
-                return f"phase {was.name!r} ran with {_option(key, old)}; the recipe has {_option(key, new)}"
+                return f"phase {old_phase.name!r} ran with {_option(key, old)}; the recipe has {_option(key, new)}"
     return ""
 
 
@@ -317,7 +326,7 @@ def _flip(line: RunLine, analyses: Sequence[StoredAnalysis], new: Reanalysis, ov
         now=new.verdict.outcome,
         reason=new.verdict.reason,
         overridden_to=overridden,
-        calibration=next((one.calibration for one in analyses if one.calibration is not None), None),
+        calibration=next((analysis.calibration for analysis in analyses if analysis.calibration is not None), None),
     )
 
 

@@ -38,11 +38,11 @@ _CUT: Final = "The first {shown} of {count}; --json has all. "
 
 @dataclass(frozen=True, slots=True)
 class Reanalysed:
-    """What a re-analysis changes.
+    """Changes by a re-analysis.
 
     Parameters
     ----------
-    recipe, recipe_sha256 : of all runs; None where each run's own was used.
+    recipe, recipe_sha256 : recipe of all runs, and its digest; None where each run's own was used.
     selected, computed, judged, reused, adopted : runs that were selected, analysed now, only judged by other limits
         now, had a stored result, and whose result was made the valid analysis now.
     unchanged : runs with the verdict and all values of their valid analysis.
@@ -52,8 +52,8 @@ class Reanalysed:
     other_plan : runs whose phases are not the recipe's, with the first that differs; they were not analysed.
     left_overridden : runs that were not adopted, as a person decided against their valid verdict.
     new_warnings : warnings that the valid analyses do not have, and of how many runs they are.
-    workers : where they were computed, in words.
-    elapsed_s, runs_per_s : of computing; the rate is None if nothing was computed.
+    workers : place where the results were computed, in words.
+    elapsed_s, runs_per_s : duration and rate of computing; the rate is None if nothing was computed.
     peak_worker_mb : largest resident memory of a worker [MB]; None if unknown.
     """
 
@@ -81,17 +81,25 @@ class Reanalysed:
 def reanalysis_outcome(done: Reanalysed) -> CommandOutcome[Reanalysed]:
     """Lay out a re-analysis; exit code 3 if no run has a result."""
     results = done.computed + done.judged + done.reused
-    worse = [flip for flip in done.flips if flip.was in _PASSED and flip.now not in _PASSED]
+    no_longer_passed = [flip for flip in done.flips if flip.was in _PASSED and flip.now not in _PASSED]
     headline = f"{plural(results, 'run')} analysed again, {plural(len(done.flips), 'verdict')} differ"
     if len(done.flips) == 1:
         headline += "s"
-    words = _COUNTS if done.computed or done.judged else _FREE
+    counts_template = _COUNTS if done.computed or done.judged else _FREE
     judged = _JUDGED.format(judged=done.judged) if done.judged else ""
-    reason = words.format(computed=done.computed, judged=judged, reused=done.reused, unchanged=done.unchanged)
+    reason = counts_template.format(
+        computed=done.computed, judged=judged, reused=done.reused, unchanged=done.unchanged
+    )
     banner = Banner("marginal" if done.flips else "pass", "≠" if done.flips else "✓", headline, reason)
     if not results:
         banner = Banner("not-measured", "?", "no run could be analysed again", "the reasons are below")
-    page = Page("Re-analysis", done.recipe or "", banner, tuple(_facts(done)), warnings=tuple(_warnings(done, worse)))
+    page = Page(
+        "Re-analysis",
+        done.recipe or "",
+        banner,
+        tuple(_facts(done)),
+        warnings=tuple(_warnings(done, no_longer_passed)),
+    )
     return CommandOutcome(done, page, tuple(_sections(done)), exit_code=0 if results else 3)
 
 
@@ -102,9 +110,9 @@ def _facts(done: Reanalysed) -> Iterator[tuple[str, str]]:
     digest = "" if done.recipe_sha256 is None else f" ({done.recipe_sha256[:12]})"
     yield "Recipe", "of each run itself" if done.recipe is None else f"{done.recipe}{digest}"
     yield "Software", f"cbsr-qa {dict(done.software)['cbsr-qa']}"
-    apart = ((done.not_analysed, "could not be analysed"), (done.other_plan, "of another plan"))
-    others = "".join(f", {len(runs)} {words}" for runs, words in apart if runs)
-    yield "Runs", f"{done.selected} selected{others}"
+    other_groups = ((done.not_analysed, "could not be analysed"), (done.other_plan, "of another plan"))
+    other_counts = "".join(f", {len(runs)} {label}" for runs, label in other_groups if runs)
+    yield "Runs", f"{done.selected} selected{other_counts}"
     if done.runs_per_s is not None:
         yield "Computed", f"in {duration(done.elapsed_s)} by {done.workers}: {number(done.runs_per_s)} runs/s"
     if done.peak_worker_mb is not None:
@@ -119,9 +127,9 @@ def _warnings(done: Reanalysed, worse: Sequence[Flip]) -> Iterator[str]:
     for flip in worse:
         if flip.calibration is not None and flip.run not in {run.run for run in done.left_overridden}:
             yield _WITHDRAW.format(calibration=flip.calibration, serial=flip.serial)
-    better = sum(flip.now in _PASSED and flip.was not in _PASSED for flip in done.flips)
-    if better:
-        yield _NO_CALIBRATION.format(count=plural(better, "run"))
+    now_passed_count = sum(flip.now in _PASSED and flip.was not in _PASSED for flip in done.flips)
+    if now_passed_count:
+        yield _NO_CALIBRATION.format(count=plural(now_passed_count, "run"))
 
 
 def _sections(done: Reanalysed) -> Iterator[Section]:
@@ -129,11 +137,11 @@ def _sections(done: Reanalysed) -> Iterator[Section]:
         rows = [_flip_row(flip) for flip in done.flips[:MOST_SHOWN]]
         columns = ("sensor", "began", "station", "valid", "new", "reason", "run")
         yield Section("Verdicts", (text_table(_cut(_FLIPS, len(done.flips)), columns, rows),))
-    changed = [value for value in done.values if value.changed or value.gained or value.lost]
-    if changed:
-        values = [_value_row(value) for value in changed[:MOST_SHOWN]]
+    changed_values = [value for value in done.values if value.changed or value.gained or value.lost]
+    if changed_values:
+        values = [_value_row(value) for value in changed_values[:MOST_SHOWN]]
         names = ("measurement", "unit", "values", "changed", "median", "largest", "of", "gained", "lost")
-        yield Section("Values", (text_table(_cut(_VALUES, len(changed)), names, values, (2, 3, 4, 5, 7, 8)),))
+        yield Section("Values", (text_table(_cut(_VALUES, len(changed_values)), names, values, (2, 3, 4, 5, 7, 8)),))
     for title, caption, runs in (
         ("Not analysed", _NOT_ANALYSED, done.not_analysed),
         ("Another plan", _OTHER_PLAN, done.other_plan),
@@ -151,22 +159,22 @@ def _run_table(caption: str, runs: Sequence[NamedRun]) -> Table:
 
 
 def _warning_table(warnings: Mapping[str, int]) -> Table:
-    rows = [(str(count), words) for words, count in list(warnings.items())[:MOST_SHOWN]]
+    rows = [(str(count), warning) for warning, count in list(warnings.items())[:MOST_SHOWN]]
     return text_table(_cut(_WARNINGS, len(warnings)), ("runs", "warning"), rows, (0,))
 
 
 def _flip_row(flip: Flip) -> tuple[str | Cell, ...]:
-    was = Cell("none") if flip.was is None else Cell(str(flip.was), flip.was)
+    cell_before = Cell("none") if flip.was is None else Cell(str(flip.was), flip.was)
     if flip.overridden_to is not None:
-        was = Cell(f"{flip.was}, overridden to {flip.overridden_to}", flip.overridden_to)
+        cell_before = Cell(f"{flip.was}, overridden to {flip.overridden_to}", flip.overridden_to)
     when = f"{flip.started_at:%Y-%m-%d}"
-    return flip.serial, when, flip.station, was, Cell(str(flip.now), flip.now), flip.reason, flip.run
+    return flip.serial, when, flip.station, cell_before, Cell(str(flip.now), flip.now), flip.reason, flip.run
 
 
 def _value_row(value: ValueChange) -> tuple[str, ...]:
     median = "–" if value.median is None else number(value.median)
     largest = "–" if value.largest is None else number(value.largest)
-    counts = (str(value.gained or ""), str(value.lost or ""))
+    count_cells = (str(value.gained or ""), str(value.lost or ""))
     label = MetricKey(value.name, value.phase, value.qualifier).title
     return (
         label,
@@ -176,7 +184,7 @@ def _value_row(value: ValueChange) -> tuple[str, ...]:
         median,
         largest,
         value.serial,
-        *counts,
+        *count_cells,
     )
 
 

@@ -31,7 +31,7 @@ class ReanalyseRequest:
     database: str | None = None
 
     def check(self) -> None:
-        """RefusedError or ConfigError if options contradict each other, or a decision has no name or reason."""
+        """Raise RefusedError or ConfigError if options contradict each other, or a decision has no name or reason."""
         if self.workers is not None and self.workers < 1:
             raise RefusedError(f"--workers {self.workers} is not a number of processes", remedy="give 1 or more")
         if self.workers is not None and self.scheduler is not None:
@@ -42,8 +42,8 @@ class ReanalyseRequest:
                     "--by and --why say who adopts, and why", remedy="give --adopt too, or leave them out"
                 )
             return
-        for option, words, what in (("--by", self.by, "who decides"), ("--why", self.why, "for what reason")):
-            if not words.strip():
-                raise ConfigError(f"--adopt needs {option}", remedy=f"say {what}")
+        for option, text, missing_fact in (("--by", self.by, "who decides"), ("--why", self.why, "for what reason")):
+            if not text.strip():
+                raise ConfigError(f"--adopt needs {option}", remedy=f"say {missing_fact}")
         validate_operator(self.by)
         validate_reason(self.why)

@@ -25,8 +25,8 @@ class Job:
     database : URL, by which every worker reaches it.
     recipe : canonical JSON of the recipe's file.
     software : versions that the result must be of.
-    data_sha256 : of what was measured in the run.
-    key_sha256 : of the result, see :class:`~cbsr_qa.store.results.reanalyses.Reanalysis`.
+    data_sha256 : digest of what was measured in the run.
+    key_sha256 : key of the result, see :class:`~cbsr_qa.store.results.reanalyses.Reanalysis`.
     """
 
     run: str
@@ -39,7 +39,7 @@ class Job:
 
 @dataclass(frozen=True, slots=True)
 class Worked:
-    """What became of a job.
+    """Result of a job.
 
     Parameters
     ----------
@@ -59,9 +59,9 @@ class Worked:
 def analyse_again(job: Job) -> Worked:
     """Analyse a stored run by another recipe or other software; errors become the reason in the result."""
     plugins = _plugins()
-    here = f"{os.uname().nodename}, process {os.getpid()}"
+    worker = f"{os.uname().nodename}, process {os.getpid()}"
     if differing := _differing(job.software, software_versions(plugins)):
-        return Worked(None, differing=differing, worker=here)
+        return Worked(None, differing=differing, worker=worker)
     stages = Stages()
     try:
         recipe = load_recipe(json.loads(job.recipe)).value
@@ -69,10 +69,10 @@ def analyse_again(job: Job) -> Worked:
             record = store.runs.load(job.run)
         conclusion = evaluate_run(record, recipe, plugins, stages)
     except CbsrError as error:
-        return Worked(None, error.reason, worker=here, peak_mb=_peak_mb())
+        return Worked(None, error.reason, worker=worker, peak_mb=_peak_mb())
     observation = conclusion.observation
     if observation is None and conclusion.characterisation is None:
-        return Worked(None, conclusion.verdict.reason, worker=here, peak_mb=_peak_mb())
+        return Worked(None, conclusion.verdict.reason, worker=worker, peak_mb=_peak_mb())
     result = Reanalysis(
         run=job.run,
         key_sha256=job.key_sha256,
@@ -85,7 +85,7 @@ def analyse_again(job: Job) -> Worked:
         weight_ratio=None if observation is None else observation.weight_ratio,
         compute_s=stages.table(),
     )
-    return Worked(result, worker=here, peak_mb=_peak_mb())
+    return Worked(result, worker=worker, peak_mb=_peak_mb())
 
 
 @cache
@@ -94,11 +94,11 @@ def _plugins() -> Plugins:
 
 
 def _differing(wanted: tuple[tuple[str, str], ...], here: tuple[tuple[str, str], ...]) -> str:
-    before, now = dict(wanted), dict(here)
+    wanted_versions, installed_versions = dict(wanted), dict(here)
     return ", ".join(
-        f"{name} {now.get(name, 'not installed')} in place of {before.get(name, 'none')}"
-        for name in dict.fromkeys((*before, *now))
-        if before.get(name) != now.get(name)
+        f"{name} {installed_versions.get(name, 'not installed')} in place of {wanted_versions.get(name, 'none')}"
+        for name in dict.fromkeys((*wanted_versions, *installed_versions))
+        if wanted_versions.get(name) != installed_versions.get(name)
     )
 
 

@@ -1,4 +1,4 @@
-"""Where jobs are done: processes of this computer or a Dask cluster, through the interface of an Executor."""
+"""Workers that do jobs: processes of this computer or a Dask cluster, through the interface of an Executor."""
 
 from collections import Counter, deque
 from collections.abc import Callable, Iterator, Sequence, Set
@@ -14,11 +14,11 @@ from cbsr_qa.system.workers import delay_interrupts, worker_pool
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
-#: A job whose worker dies this often while it is done alone is given up.
+#: Number of workers that may die while they do a job alone, before the job is given up.
 _DEATHS: Final = 2
-#: Workers that die one after the other before any job is done: they cannot work here at all.
+#: Number of workers in a row that die before any job is done: then workers cannot run here at all.
 _DEATHS_IN_A_ROW: Final = 6
-#: Time to reach a scheduler, and until it has a worker [s].
+#: Longest time to reach a scheduler, and then to wait until it has a worker [s].
 _REACHED_S: Final = 10
 _NOTHING: Final = "nothing was computed, and the database is unchanged"
 
@@ -29,7 +29,7 @@ class Workers(Generic[Job, Result]):
     Parameters
     ----------
     begin : begins workers; called again after one was killed, which makes an executor unusable.
-    count : of workers.
+    count : number of workers.
     work : done with each job; picklable.
     """
 
@@ -54,11 +54,11 @@ class Workers(Generic[Job, Result]):
         number = {id(job): k for k, job in enumerate(jobs)}
         in_a_row = 0
         while waiting or suspects:
-            lost: list[Job] = []
-            for job, result in self._run_until_broken(waiting, suspects, lost):
+            lost_jobs: list[Job] = []
+            for job, result in self._run_until_broken(waiting, suspects, lost_jobs):
                 in_a_row = 0
                 yield job, result
-            if not lost:
+            if not lost_jobs:
                 continue
             in_a_row += 1
             if in_a_row >= _DEATHS_IN_A_ROW:
@@ -66,9 +66,9 @@ class Workers(Generic[Job, Result]):
                     f"{in_a_row} workers in a row ended before a run was analysed",
                     remedy="use fewer --workers if memory is short; what was analysed before is stored",
                 )
-            if len(lost) == 1:  # it was alone, or nearly done alone
-                deaths[number[id(lost[0])]] += 1
-            for job in lost:
+            if len(lost_jobs) == 1:  # it was alone, or nearly done alone
+                deaths[number[id(lost_jobs[0])]] += 1
+            for job in lost_jobs:
                 if deaths[number[id(job)]] >= _DEATHS:
                     yield job, f"its worker was killed {plural(_DEATHS, 'time')} (out of memory?)"
                 else:
@@ -99,7 +99,7 @@ class Workers(Generic[Job, Result]):
     def _collect_results(
         self, finished: Set[Future[Result]], under_way: dict[Future[Result], Job], lost: list[Job]
     ) -> Iterator[tuple[Job, Result | str]]:
-        for future in [one for one in under_way if one in finished]:  # in the order of the jobs
+        for future in [job_future for job_future in under_way if job_future in finished]:  # in the order of the jobs
             job = under_way.pop(future)
             try:
                 result = future.result()

@@ -1,4 +1,4 @@
-"""What follows a run: it is read back, evaluated and stored; report and calibration file are written."""
+"""Conclusion of a run: it is read back, evaluated and stored; report and calibration file are written."""
 
 import threading
 from collections.abc import Iterable, Iterator, Sequence
@@ -27,7 +27,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.types import time_of_id
 from cbsr_qa.system.clock import RealClock, Stages
 
-#: How long what computes a result may take to stop; beyond numerical libraries, which hear nothing in a call [s].
+#: Time that the computation of a result may take to stop [s]; numerical libraries hear nothing within a call.
 _STOPS_WITHIN_S: Final = 30.0
 
 
@@ -80,12 +80,12 @@ def _conclude(
     with stages.stage("reading the run back"):
         record = store.runs.load_with_file_check(run)
     recipe, history, threads = configuration.recipe, store.changes.read_history(record), threading.enumerate()
-    earlier = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
+    sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     conclusion = evaluate_run(record, recipe, plugins, stages)
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)
     charts = charts_after(store, record.identity.station, record.identity, conclusion.measurements)
-    calibration, why = calibrate_run(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
+    calibration, calibration_why = calibrate_run(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
     if calibration is not None:
         calibration = _sign_with_key(calibration, configuration, store)
     result = fill_from_object(
@@ -93,7 +93,7 @@ def _conclude(
         conclusion,
         record=record,
         calibration=calibration,
-        calibration_why=why,
+        calibration_why=calibration_why,
         compute_s=stages.table(),
         warnings=(
             *conclusion.warnings,
@@ -105,13 +105,13 @@ def _conclude(
             *warn_unexplained(history.changes_in(run)),
             *history.warnings,
             *record.chain.warnings,
-            *earlier.warnings,
+            *sensor_history.warnings,
         ),
         limits_version=recipe.limits_version,
         station_check=store.stations.read_latest_check(record.identity.station, record.identity.started_at),
         station_charts=charts,
         history=history,
-        sensor_history=earlier,
+        sensor_history=sensor_history,
     )
     store.analyses.save(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
@@ -119,13 +119,13 @@ def _conclude(
 
 
 def _sign_with_key(calibration: Calibration, configuration: Configuration, store: Repository) -> Calibration:
-    """Sign a calibration with the station's key, if it has one. BrokenRunError if the key cannot be used any more."""
+    """Sign a calibration with the station's key, if any. Raise BrokenRunError if the key cannot be used any more."""
     try:
         key = station_key(configuration.station)
     except RefusedError as error:
-        again = f"{error.remedy}; then this computes the result: {resume_command(calibration.run, store)}"
+        remedy = f"{error.remedy}; then this computes the result: {resume_command(calibration.run, store)}"
         raise BrokenRunError(
-            calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=again
+            calibration.run, f"its calibration cannot be signed, and is not issued: {error.reason}", remedy=remedy
         ) from error
     return calibration if key is None else sign_calibration(calibration, key, RealClock().wall())
 

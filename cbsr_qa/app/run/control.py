@@ -80,7 +80,7 @@ class Control:
     def serve(self, station: str, warn: Callable[[str], None]) -> Iterator[None]:
         """Serve the channel while entered. ``warn``: called if there can be none.
 
-        RefusedError if there can be none, and prompts are answered over it.
+        Raise RefusedError if there can be none, and prompts are answered over it.
         """
         with RunServer(station, self.desk, lambda: self.sensor, self.status.whole) as server:
             self._server = server

@@ -43,14 +43,16 @@ def check_decided(record: RunRecord, stored: StoredAnalysis, limits: Iterable[Li
     verdict, measurements = stored.verdict, stored.measurements
     if record.end is not EndReason.FINISHED or not measurements:
         if verdict.outcome not in (Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
-            why = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
-            raise _mismatch_error(stored, f"the verdict states {verdict.outcome}; the run {why}")
+            mismatch = "holds no measurement" if record.end is EndReason.FINISHED else f"was {record.end}"
+            raise _mismatch_error(stored, f"the verdict states {verdict.outcome}; the run {mismatch}")
         return
     _check_measurements(stored, limits if record.chain.chained else None)
-    now = decide(measurements)
+    decided = decide(measurements)
     same_words = dict(stored.software).get("cbsr-qa") == version("cbsr-qa")
-    if now.outcome is not verdict.outcome or (same_words and now.reason != verdict.reason):
-        raise _mismatch_error(stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(now)}")
+    if decided.outcome is not verdict.outcome or (same_words and decided.reason != verdict.reason):
+        raise _mismatch_error(
+            stored, f"the verdict states {_verdict(verdict)}; its measurements say {_verdict(decided)}"
+        )
 
 
 def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
@@ -61,14 +63,16 @@ def check_listed(run: ListedRun, judged: Sequence[Measurement]) -> None:
     StoreError
         If an outcome does not follow; it names the measurement.
     """
-    for was, now in zip(judged, _rejudge(judged), strict=True):
-        if was.outcome is not now.outcome:
-            raise StoreError(f"run {run.run}: {_describe_measurement(was)} {_difference(was, now)}", remedy=_REMEDY)
+    for stored, rejudged in zip(judged, _rejudge(judged), strict=True):
+        if stored.outcome is not rejudged.outcome:
+            raise StoreError(
+                f"run {run.run}: {_describe_measurement(stored)} {_difference(stored, rejudged)}", remedy=_REMEDY
+            )
     if not run.finished or run.outcome in (None, Outcome.NOT_MEASURED, Outcome.NOT_JUDGED):
         return
     if decide(tuple(judged)).outcome is not run.outcome:
-        said = f"the verdict states {run.outcome}; its measurements say {decide(tuple(judged)).outcome}"
-        raise StoreError(f"run {run.run}: {said}", remedy=_REMEDY)
+        mismatch = f"the verdict states {run.outcome}; its measurements say {decide(tuple(judged)).outcome}"
+        raise StoreError(f"run {run.run}: {mismatch}", remedy=_REMEDY)
 
 
 def _rejudge(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
@@ -79,19 +83,19 @@ def _rejudge(measurements: Sequence[Measurement]) -> tuple[Measurement, ...]:
 def _check_measurements(stored: StoredAnalysis, limits: Iterable[Limit] | None) -> None:
     """Judge measurements again by the limits of the configuration, or by their own if None."""
     if limits is None:
-        again = _rejudge(stored.measurements)
+        judged = _rejudge(stored.measurements)
     else:
-        own = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
-        again = judge(own, [replace(limit, version="") for limit in limits])
-    for number, (was, now) in enumerate(zip(stored.measurements, again, strict=False)):
-        if (was.limit, was.outcome) != (now.limit, now.outcome):
+        unjudged = tuple(replace(m, limit=None, outcome=Outcome.NOT_JUDGED) for m in stored.measurements)
+        judged = judge(unjudged, [replace(limit, version="") for limit in limits])
+    for number, (was, expected) in enumerate(zip(stored.measurements, judged, strict=False)):
+        if (was.limit, was.outcome) != (expected.limit, expected.outcome):
             raise _mismatch_error(
-                stored, f"measurement {number} ({_describe_measurement(was)}) {_difference(was, now)}"
+                stored, f"measurement {number} ({_describe_measurement(was)}) {_difference(was, expected)}"
             )
-    if len(again) > len(stored.measurements):
-        missing = again[len(stored.measurements)]
+    if len(judged) > len(stored.measurements):
+        not_stored = judged[len(stored.measurements)]
         raise _mismatch_error(
-            stored, f"no measurement is stored for the configuration's limit of {_describe_measurement(missing)}"
+            stored, f"no measurement is stored for the configuration's limit of {_describe_measurement(not_stored)}"
         )
 
 

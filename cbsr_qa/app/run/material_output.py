@@ -36,7 +36,7 @@ def material_path(result: RunResult) -> Path:
 
 
 def write_material(result: RunResult) -> Path:
-    """Write the material file of a run whole or not at all. RefusedError if the folder cannot be written to."""
+    """Write the material file of a run whole or not at all. Raise RefusedError if the folder cannot be written to."""
     path = material_path(result)
     write_report(path, material_text(material_of(result), _comments(result)))
     return path
@@ -90,11 +90,11 @@ def _resistance(characterised: Characterisation) -> Parameter:
 
 def _range(characterised: Characterisation) -> str:
     """State the strains and stresses for which the lines hold."""
-    kept = [level for level in characterised.levels if not level.why]
-    least = max(min(level.strain for level in kept), characterised.lowest_strain or 0.0)
-    highest = max(kept, key=lambda level: level.strain)
+    kept_levels = [level for level in characterised.levels if not level.why]
+    least_strain = max(min(level.strain for level in kept_levels), characterised.lowest_strain or 0.0)
+    highest = max(kept_levels, key=lambda level: level.strain)
     stress = "" if highest.stress_kPa is None else f", up to {highest.stress_kPa:.3g} kPa"
-    return f"Characterised from {100 * least:g} to {100 * highest.strain:g} % strain{stress}."
+    return f"Characterised from {100 * least_strain:g} to {100 * highest.strain:g} % strain{stress}."
 
 
 def _comments(result: RunResult) -> list[str]:
@@ -114,6 +114,6 @@ def _comments(result: RunResult) -> list[str]:
             f"Between the pins, as the paper has it, the gauge factor is {slope.value:.4g} ± {slope.stderr or 0:.2g}."
         )
     lines.append(f"{_range(characterised)} Standard errors are statistical, with that of the contacts.")
-    lines += [f"Simulated: {what}." for what in identity.simulated]
-    lines += [f"Reduced: {' '.join(what.split())}." for what in characterised.reduced]
+    lines += [f"Simulated: {remark}." for remark in identity.simulated]
+    lines += [f"Reduced: {' '.join(remark.split())}." for remark in characterised.reduced]
     return lines

@@ -149,11 +149,11 @@ class RunOutcome:
 
     Parameters
     ----------
-    reason : of the verdict.
+    reason : reason of the verdict.
     resume : command that resumes it; None if it finished.
     report, calibration, material : files; None if none was issued, or it could not be written (a warning says so).
     material_why : why there is no material file; empty if the recipe characterises none.
-    warnings : of the result and of writing the files.
+    warnings : warnings of the result and of writing the files.
     gate : answers of the checks before the run, and of those asked again when it was resumed.
     station_s : time the sensor occupied the station.
     compute_s : time of computing until the result was stored; files are written after it.

@@ -25,25 +25,25 @@ def write_outputs(
     """Write calibration, material and report, and tell plugins of the calibration; failures become warnings."""
     identity = result.record.identity
     calibration: Path | None = None
-    failed: list[str] = []
+    failures: list[str] = []
     if result.calibration is not None:
         calibration = calibration_path(identity)
         with stages.stage("writing the calibration file"):
-            calibration = _write_calibration_file(result.calibration, calibration, failed)
-        plugins.tell("cbsr_calibration_issued", failed.append, calibration=result.calibration)
-    material = _material(result, failed)
+            calibration = _write_calibration_file(result.calibration, calibration, failures)
+        plugins.tell("cbsr_calibration_issued", failures.append, calibration=result.calibration)
+    material = _material(result, failures)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
-    sections, missing = report_sections(recipe.sections, plugins)
+    sections, missing_sections = report_sections(recipe.sections, plugins)
     html = ""
     with stages.stage("rendering the report"):
-        html = render_run(result, sections, warnings=(*missing, *failed))
-    written = _write_report_file(report, html, failed)
+        html = render_run(result, sections, warnings=(*missing_sections, *failures))
+    report_file = _write_report_file(report, html, failures)
     return RunOutcome.from_result(
         result,
-        report=written,
+        report=report_file,
         calibration=calibration,
         material=material,
-        warnings=(*result.warnings, *missing, *failed),
+        warnings=(*result.warnings, *missing_sections, *failures),
         seed=seed,
         resume=resume,
     )
@@ -52,9 +52,9 @@ def write_outputs(
 def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
     if result.characterisation is None:
         return None, ""
-    why = why_no_material(result)
-    if why:
-        return None, why
+    reason = why_no_material(result)
+    if reason:
+        return None, reason
     try:
         return write_material(result), ""
     except CbsrError as error:

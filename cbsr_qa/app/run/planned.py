@@ -96,15 +96,17 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     time = duration(planned.dry.duration_s)
     banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
     if planned.refused is not None:
-        whys = [f"it breaks {plural(len(planned.violations), 'limit')} of the station"] if planned.violations else []
-        if any(one.outcome is GateOutcome.REFUSED for one in planned.gate):
-            whys.insert(0, "the gate refuses it")
-        banner = Banner("fail", "✗", "This run would be refused", "; ".join(whys))
+        reasons = (
+            [f"it breaks {plural(len(planned.violations), 'limit')} of the station"] if planned.violations else []
+        )
+        if any(answer.outcome is GateOutcome.REFUSED for answer in planned.gate):
+            reasons.insert(0, "the gate refuses it")
+        banner = Banner("fail", "✗", "This run would be refused", "; ".join(reasons))
     spent = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in planned.dry.spent)
-    most = f"{100 * planned.peak_strain:g} % strain and {planned.dry.peak_force_N:.3g} N"
+    peak_words = f"{100 * planned.peak_strain:g} % strain and {planned.dry.peak_force_N:.3g} N"
     facts = [
         ("Station time", f"{time} ({spent})"),
-        ("Loads", f"{planned.loads}, up to {most} expected"),
+        ("Loads", f"{planned.loads}, up to {peak_words} expected"),
         ("Frames", str(planned.frames)),
         ("Travel", f"{planned.dry.travel_mm / 1000:.2f} m"),
         *(("Not allowed", violation) for violation in planned.violations),
@@ -114,10 +116,10 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     rows = [(p.name, p.sequence, duration(p.duration_s), str(p.loads), str(p.frames)) for p in planned.phases]
     phases = text_table("Expected time and content.", ("phase", "sequence", "time", "loads", "frames"), rows, (3, 4))
     page = Page("Dry run", planned.history.sensor.serial, banner, tuple(facts), warnings=planned.warnings)
-    asked = [one for one in planned.gate if one.outcome is not GateOutcome.OFF]
+    asked_checks = [answer for answer in planned.gate if answer.outcome is not GateOutcome.OFF]
     gate = (
-        [Section("Gate", (gate_table("Asked before the run; those that are off are left out.", asked),))]
-        if asked
+        [Section("Gate", (gate_table("Asked before the run; those that are off are left out.", asked_checks),))]
+        if asked_checks
         else []
     )
     return CommandOutcome(planned, page, (Section("Phases", (phases,)), *gate), 0 if planned.refused is None else 2)

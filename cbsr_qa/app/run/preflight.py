@@ -65,35 +65,35 @@ def check_unloaded(plan: Plan, recipe: Recipe) -> None:
     weighed = FEWEST_FRAMES if recipe.analysis.noise_weighting == "measured" else 0
     needed = max(split, weighed)
     for phase in plan.phases:
-        taken = _count_unloaded_frames(phase.steps(plan.context))
-        if taken is None:
+        count = _count_unloaded_frames(phase.steps(plan.context))
+        if count is None:
             continue
-        if taken < needed:
+        if count < needed:
             raise ConfigError(
-                f"recipe {recipe.name!r}: phase {phase.name!r} takes {taken} unloaded frames, but"
-                f" {'analysis.noise_floor_frames and the reference need' if taken < split else _WEIGHING} {needed}",
-                remedy=f"take more unloaded frames in that phase, or {_LESS if taken < split else _EQUAL}",
+                f"recipe {recipe.name!r}: phase {phase.name!r} takes {count} unloaded frames, but"
+                f" {'analysis.noise_floor_frames and the reference need' if count < split else _WEIGHING} {needed}",
+                remedy=f"take more unloaded frames in that phase, or {_LESS if count < split else _EQUAL}",
             )
         return
 
 
 def check_cycles(plan: Plan, recipe: Recipe) -> None:
-    """Check that a recipe for a strip presses cycles, all in one place. ConfigError if not."""
+    """Check that a recipe for a strip presses cycles, all in one place. Raise ConfigError if not."""
     if recipe.characterisation is None:
         return
     meant = [phase for phase in plan.phases if getattr(phase.sequence, "role", None) is Role.CHARACTERISATION]
     steps = [step for phase in meant for step in phase.steps(plan.context)]
     places = {(step.load.x_mm, step.load.y_mm) for step in steps if isinstance(step, Press)}
     if len(places) != 1:
-        pressed = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
+        phases_found = f"press cycles at {len(places)} places" if places else "no phase of press cycles"
         raise ConfigError(
-            f"recipe {recipe.name!r} has [characterisation] and {pressed}; a strip is pressed at one place",
+            f"recipe {recipe.name!r} has [characterisation] and {phases_found}; a strip is pressed at one place",
             remedy='give it one phase with sequence = "characterisation"',
         )
 
 
 def station_key(station: Station) -> SigningKey | None:
-    """Return the key that signs a station's calibrations, or None. RefusedError if it cannot be used."""
+    """Return the key that signs a station's calibrations, or None. Raise RefusedError if it cannot be used."""
     if station.signing_key is None:
         return None
     try:
@@ -135,13 +135,13 @@ def _check_named(limits: Iterable[Limit], measured: Mapping[str, str]) -> None:
 
 def _count_unloaded_frames(steps: Iterable[object]) -> int | None:
     """Count frames between the first mark and the next press; None without a mark."""
-    taken: int | None = None
+    frame_count: int | None = None
     for step in steps:
         match step:
             case MarkUnloaded():
-                taken = taken or 0
-            case AcquireFrames(count=count) if taken is not None:
-                taken += count
-            case Press() if taken is not None:
-                return taken
-    return taken
+                frame_count = frame_count or 0
+            case AcquireFrames(count=count) if frame_count is not None:
+                frame_count += count
+            case Press() if frame_count is not None:
+                return frame_count
+    return frame_count

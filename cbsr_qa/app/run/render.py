@@ -65,7 +65,7 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     ----------
     run_or_serial : a run, or a serial number for its latest run.
     database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
-    folder : where to write; None for the reports folder in ``var/``.
+    folder : folder to write to; None for the reports folder in ``var/``.
 
     Raises
     ------
@@ -95,9 +95,9 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
         If the folder cannot be written to; nothing was written then.
     """
     identity = result.record.identity
-    found, missing = report_sections(sections, plugins)
+    loaded_sections, missing_sections = report_sections(sections, plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)
-    write_report(path, render_run(result, found, warnings=missing))
+    write_report(path, render_run(result, loaded_sections, warnings=missing_sections))
     return Rendered(
         identity.run,
         identity.sensor.serial,
@@ -107,7 +107,7 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
         result.record.chain,
         result.overrides,
         result.record.gate,
-        tuple(dict.fromkeys((*result.warnings, *missing))),
+        tuple(dict.fromkeys((*result.warnings, *missing_sections))),
         result,
     )
 
@@ -135,13 +135,13 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
     identity = result.record.identity
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
     calibration = calibration_path(identity)
-    why = "" if result.characterisation is None else why_no_material(result)
-    material = None if result.characterisation is None or why else material_path(result)
+    no_material_reason = "" if result.characterisation is None else why_no_material(result)
+    material = None if result.characterisation is None or no_material_reason else material_path(result)
     return RunOutcome.from_result(
         result,
         report=report if report.exists() else None,
         calibration=calibration if result.calibration is not None and calibration.exists() else None,
-        material=(material if material is not None and material.exists() else None, why),
+        material=(material if material is not None and material.exists() else None, no_material_reason),
         warnings=result.warnings,
         seed=restore(store.runs.read_configuration(run)).seed,
         resume=resume_command(run, store) if result.missing or result.record.end is not EndReason.FINISHED else "",
@@ -170,28 +170,30 @@ def rebuilt(
     recipe = judging_recipe(store, run, stored)
     check = store.stations.read_latest_check(record.identity.station, record.identity.started_at)
     history = store.changes.read_history(record)
-    earlier = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
+    sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
-        known = _describe_unanalysed(record, resume_command(run, store))
-        return replace(known, station_check=check, history=history, sensor_history=earlier), recipe.sections
+        without_result = _describe_unanalysed(record, resume_command(run, store))
+        return replace(
+            without_result, station_check=check, history=history, sensor_history=sensor_history
+        ), recipe.sections
     check_decided(record, stored, recipe.limits)
-    observation, characterisation, why = _analyse_frames(record, recipe, plugins if imaged else None)
-    calibration, unseen = _calibration(store, stored)
+    observation, characterisation, no_images_reason = _analyse_frames(record, recipe, plugins if imaged else None)
+    calibration, unreadable_reason = _calibration(store, stored)
     result = RunResult(
         record=record,
         observation=observation,
         measurements=with_versions(stored.measurements, recipe.limits),
         verdict=stored.verdict,
         calibration=calibration,
-        calibration_why=unseen or stored.calibration_why,
+        calibration_why=unreadable_reason or stored.calibration_why,
         compute_s=stored.compute_s,
         warnings=tuple(
             dict.fromkeys(
                 (
                     *_adoption_notes(analyses, recipe.name),
-                    *_warnings(stored, why),
+                    *_warnings(stored, no_images_reason),
                     *record.chain.warnings,
-                    *earlier.changed,
+                    *sensor_history.changed,
                     *history.warnings,
                 )
             )
@@ -202,7 +204,7 @@ def rebuilt(
         station_charts=charts_after(store, record.identity.station, until=stored.analysis),
         history=history,
         overrides=store.changes.list_overrides(run),
-        sensor_history=earlier,
+        sensor_history=sensor_history,
     )
     return result, recipe.sections
 
@@ -243,17 +245,17 @@ def _calibration(store: Repository, stored: StoredAnalysis) -> tuple[Calibration
 
 def _describe_unanalysed(record: RunRecord, resume: str) -> RunResult:
     """Return what is known of a run that has no stored analysis: nothing that reads like a verdict."""
-    finished = record.end is EndReason.FINISHED
+    is_finished = record.end is EndReason.FINISHED
     ended = f"the run was {record.end}: {record.end_detail}".removesuffix(": ")
-    missing = f"no result is stored; to {'compute and store it' if finished else 'continue the run'}: {resume}"
+    no_result = f"no result is stored; to {'compute and store it' if is_finished else 'continue the run'}: {resume}"
     return RunResult(
         record=record,
         observation=None,
         measurements=(),
-        verdict=Verdict(Outcome.NOT_MEASURED, missing if finished else ended),
+        verdict=Verdict(Outcome.NOT_MEASURED, no_result if is_finished else ended),
         calibration=None,
         calibration_why="no result is stored",
-        warnings=(*(() if finished else (missing,)), *record.chain.warnings),
+        warnings=(*(() if is_finished else (no_result,)), *record.chain.warnings),
         missing=True,
     )
 
@@ -274,9 +276,9 @@ def _adoption_notes(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator
         return
     decided = f"adopted by {adoption.operator} on {adoption.adopted_at:%Y-%m-%d %H:%M} UTC: {adoption.why}"
     yield f"The verdict and all values are of a re-analysis by recipe {recipe!r}, {decided}. Earlier ones are kept."
-    for earlier in analyses:
-        if earlier.calibration is not None:
-            yield f"Calibration {earlier.calibration}, which an earlier analysis of this run issued, is still stored."
+    for stored in analyses:
+        if stored.calibration is not None:
+            yield f"Calibration {stored.calibration}, which an earlier analysis of this run issued, is still stored."
 
 
 def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:

@@ -60,7 +60,7 @@ def resume_run(
     tell, ask, answers, pin : see :func:`cbsr_qa.app.run.run.run_sensor`.
     station : file of the run's station as it is now, for the gate alone: who may work at it, its policies, and the
         calibration dates of its instruments. None for what is stored with the run, which has no list of operators.
-    override : of the gate's refusals.
+    override : override of the gate's refusals.
 
     Raises
     ------
@@ -79,12 +79,12 @@ def resume_run(
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
-    with ExitStack() as held:
-        store = held.enter_context(open_store(url, create=False, durable=on_real_clock))
-        held.enter_context(store.claims.hold_run(run, operator))
+    with ExitStack() as stack:
+        store = stack.enter_context(open_store(url, create=False, durable=on_real_clock))
+        stack.enter_context(store.claims.hold_run(run, operator))
         stored = store.runs.read_identity(run)
-        held.enter_context(store.claims.claim_sensor(stored.sensor.serial, stored.recipe, operator))
-        asked = GateRequest(
+        stack.enter_context(store.claims.claim_sensor(stored.sensor.serial, stored.recipe, operator))
+        gate_request = GateRequest(
             serial=stored.sensor.serial,
             operator=operator,
             database=url,
@@ -93,11 +93,11 @@ def resume_run(
             resumed=True,
             pin=pin,
         )
-        return _continue_run(store, run, asked, station, tell, ask, answers=answers)
+        return _continue_run(store, run, gate_request, station, tell, ask, answers=answers)
 
 
 def _configuration(store: Repository, run: str) -> str:
-    """Return the configuration of a run. StoreError if it is unknown or damaged."""
+    """Return the configuration of a run. Raise StoreError if it is unknown or damaged."""
     try:
         return store.runs.read_configuration(run)
     except StoreError as error:
@@ -122,7 +122,7 @@ def _continue_run(
     configuration = restore(store.runs.read_configuration(run))
     stored, now = store.runs.read_identity(run), RealClock().wall()
     identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
-    changed = compare_software(stored, identity)
+    software_changes = compare_software(stored, identity)
     result = store.runs.read_result_state(run)
     if result is ResultState.STORED:
         raise StoreError(
@@ -132,31 +132,31 @@ def _continue_run(
     if result is ResultState.MISSING:
         with naming_removed(stored, identity):
             check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        outcome = conclude_run(run, store, configuration, plugins, Stages(tell), changed)
+        outcome = conclude_run(run, store, configuration, plugins, Stages(tell), software_changes)
         deliver_verdict(outcome, identity, configuration, plugins)
         return outcome
     with naming_removed(stored, identity):
         check_configuration(configuration, plugins)
-    done = Done(
+    done_before = Done(
         store.runs.list_finished_loads(run),
         store.runs.list_ended_phases(run),
         store.runs.find_resume_time_s(run),
         store.runs.count_prompts(run),
     )
-    who = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
+    sensor_and_operator = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
     with (
         naming_removed(stored, identity),
         stoppable_outside_steps(),
-        open_control(configuration, **who, answers=answers) as control,
+        open_control(configuration, **sensor_and_operator, answers=answers) as control,
     ):
         gate = ask_gate(asked, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
         control.set_run(run)
         stages = Stages(control.telling(tell))
-        with Session(configuration, plugins, stages, ask, done, gate=gate, control=control) as session:
+        with Session(configuration, plugins, stages, ask, done_before, gate=gate, control=control) as session:
             session.walk().refuse()
-            session.warnings += [*changed, *compare_instruments(stored, session.instruments())]
+            session.warnings += [*software_changes, *compare_instruments(stored, session.instruments())]
             return session.run(identity, store)
 
 
@@ -164,22 +164,22 @@ def _as_it_is_now(configuration: Configuration, station: str | None) -> Configur
     """Return the configuration with the station's present file, for the gate. ConfigError for another station."""
     if station is None:
         return configuration
-    now = load_station(station).value
-    if now.name != configuration.station.name:
+    current = load_station(station).value
+    if current.name != configuration.station.name:
         raise ConfigError(
-            f"the run was begun on station {configuration.station.name!r}, and the file given is of {now.name!r}",
+            f"the run was begun on station {configuration.station.name!r}, and the file given is of {current.name!r}",
             remedy=f"resume it on its own station\n{AT_COMMAND_LINE}give that station's file, or leave --station out",
         )
-    return replace(configuration, station=now)
+    return replace(configuration, station=current)
 
 
 def compare_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
     """Return a warning if software versions differ from those at the start of the run."""
-    before, after = dict(stored.software), dict(now.software)
+    stored_versions, current_versions = dict(stored.software), dict(now.software)
     differing = ", ".join(
-        f"{name} {before.get(name, NOT_INSTALLED)} → {after.get(name, NOT_INSTALLED)}"
-        for name in dict.fromkeys([*before, *after])
-        if before.get(name) != after.get(name)
+        f"{name} {stored_versions.get(name, NOT_INSTALLED)} → {current_versions.get(name, NOT_INSTALLED)}"
+        for name in dict.fromkeys([*stored_versions, *current_versions])
+        if stored_versions.get(name) != current_versions.get(name)
     )
     return [f"the run was begun with other software than it went on with: {differing}"] if differing else []
 
@@ -196,29 +196,29 @@ def naming_removed(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
     try:
         yield
     except (PluginError, ConfigError) as error:
-        here = dict(now.software)
+        current_versions = dict(now.software)
         removed = [
             (name, version)
             for name, version in stored.software
-            if version != NOT_INSTALLED and here.get(name, NOT_INSTALLED) == NOT_INSTALLED
+            if version != NOT_INSTALLED and current_versions.get(name, NOT_INSTALLED) == NOT_INSTALLED
         ]
         if not removed:
             raise
-        named = ", ".join(f"{name} {version}" for name, version in removed)
+        removed_words = ", ".join(f"{name} {version}" for name, version in removed)
         pinned = " ".join(f"{name}=={version}" for name, version in removed)
         raise type(error)(
-            f"{error.reason}; the run was begun with {named}, which is not installed now",
+            f"{error.reason}; the run was begun with {removed_words}, which is not installed now",
             remedy=f"install it again, then resume the run\n{AT_COMMAND_LINE}pip install {pinned}",
         ) from error
 
 
 def compare_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
     """Return a warning for each instrument that differs from the one at the start of the run."""
-    before = {instrument.role: _who(instrument) for instrument in stored.instruments}
+    stored_by_role = {instrument.role: _who(instrument) for instrument in stored.instruments}
     return [
-        f"{role} is another instrument than the run was begun with: {before.get(role, 'none')} → {who}"
-        for role, who in ((instrument.role, _who(instrument)) for instrument in instruments)
-        if before.get(role) != who
+        f"{role} is another instrument than the run was begun with: {stored_by_role.get(role, 'none')} → {current}"
+        for role, current in ((instrument.role, _who(instrument)) for instrument in instruments)
+        if stored_by_role.get(role) != current
     ]
 
 
@@ -229,16 +229,16 @@ def _who(instrument: InstrumentIdentity) -> str:
 def find_next_step(store: Repository, run: str, plugins: Plugins) -> tuple[str, str] | None:
     """Return the phase in which a resumed run would continue, and its next step in words.
 
-    None if its configuration or one of its plugins can no longer be used.
+    Return None if its configuration or one of its plugins can no longer be used.
     """
     try:
         plan, ended = plan_of(restore(store.runs.read_configuration(run)), plugins), store.runs.list_ended_phases(run)
-        left = [
+        remaining_phases = [
             phase for phase in schedule(plan, store.runs.list_finished_loads(run), ended) if phase.index not in ended
         ]
     except CbsrError:
         return None
-    if not left:
+    if not remaining_phases:
         return "", "its end"
-    presses = [step for step in left[0].steps if isinstance(step.step, Press)]
-    return left[0].name, describe(presses[0].step) if presses else "the end of the phase"
+    presses = [step for step in remaining_phases[0].steps if isinstance(step.step, Press)]
+    return remaining_phases[0].name, describe(presses[0].step) if presses else "the end of the phase"

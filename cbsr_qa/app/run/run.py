@@ -47,7 +47,7 @@ class RunRequest:
 
     Parameters
     ----------
-    override : of the gate's refusals.
+    override : override of the gate's refusals.
     golden : whether it measures the golden sensor of a station check.
     """
 
@@ -65,7 +65,7 @@ class RunRequest:
     golden: bool = False
 
     def validate(self) -> Self:
-        """Return itself. ConfigError if serial, batch, operator, reason or override is not allowed."""
+        """Return itself. Raise ConfigError if serial, batch, operator, reason or override is not allowed."""
         validate_serial(self.serial)
         validate_batch(self.batch)
         validate_operator(self.operator)
@@ -74,7 +74,7 @@ class RunRequest:
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
-        """Load and merge the files. ConfigError if one is missing or wrong."""
+        """Load and merge the files. Raise ConfigError if one is missing or wrong."""
         return configure(
             self.station,
             self.recipe,
@@ -101,7 +101,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     Raises
     ------
     RefusedError
-        As :func:`run_sensor`, but violated limits of the station are listed in the result.
+        For the reasons of :func:`run_sensor`, except violated limits of the station: the result lists those.
     """
     plugins, _ = _check_request(request.validate())
     configuration = request.configuration(_seed(request))
@@ -117,12 +117,12 @@ def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -
 
     Parameters
     ----------
-    pin : as for :func:`run_sensor`; without it a PIN is not asked for.
+    pin : PIN as for :func:`run_sensor`; without it no PIN is asked for.
 
     Raises
     ------
     RefusedError
-        As :func:`run_sensor`, but what the gate refuses is listed in the result.
+        For the reasons of :func:`run_sensor`, except refusals of the gate: the result lists those.
     """
     plugins, _ = _check_request(request.validate())
     configuration = request.configuration(0)
@@ -178,8 +178,8 @@ def run_sensor(
         If a signal stopped it before the first step; the bench is safe and closed.
     """
     plugins, configuration = _check_request(request.validate())
-    who = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
-    with stoppable_outside_steps(), open_control(configuration, **who, answers=answers) as control:
+    sensor_and_operator = {"serial": request.serial, "batch": request.batch, "operator": request.operator}
+    with stoppable_outside_steps(), open_control(configuration, **sensor_and_operator, answers=answers) as control:
         gate = _gate(request, configuration, plugins, pin=pin)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
@@ -197,9 +197,9 @@ def _test_sensor(
     begun: Callable[[str], None],
     show: Callable[[str], None] | None,
 ) -> RunOutcome:
-    taken: list[int] = []
+    seeds_taken: list[int] = []
     while True:
-        configuration = request.configuration(_seed(request, taken))
+        configuration = request.configuration(_seed(request, seeds_taken))
         if list_files(configuration) != list_files(gated):
             raise ConfigError(
                 "the files of this run were changed while the gate was asked",
@@ -212,7 +212,7 @@ def _test_sensor(
             outcome = _run_and_store(request, configuration, plugins, session, gate, control.begins(begun))
         if outcome is not None:
             return outcome
-        taken.append(configuration.seed)
+        seeds_taken.append(configuration.seed)
         tell("another run of this sensor has begun meanwhile: opening the bench again with the next seed")
 
 
@@ -226,25 +226,26 @@ def _run_and_store(
 ) -> RunOutcome | None:
     """Run a checked session; None, with nothing moved, if another run of the sensor has its seed.
 
-    RefusedError if another run of the sensor began, or ended, since the gate was asked, and it now refuses a retest.
+    Raise RefusedError if another run of the sensor began or ended since the gate was asked, so that the gate now
+    refuses a retest.
     """
     for folder in _folders():
         writable_folder(folder)
     # Frames of a virtual clock can be simulated again after a power cut; those of a bench are lost.
     durable = configuration.station.clock == "real"
-    with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as held:
+    with open_store(database_url(request.database), durable=durable, tell=on_stderr) as store, ExitStack() as stack:
         run = store.new_id()
         identity = _identity(run, request, configuration, session.instruments(), plugins)
         if request.seed is None:
             claim = store.sensors.claim_seed(request.serial, configuration.seed, request.operator)
-            if not held.enter_context(claim):
+            if not stack.enter_context(claim):
                 return None
-        tested_by = held.enter_context(store.claims.claim_sensor(request.serial, identity.recipe, request.operator))
+        tested_by = stack.enter_context(store.claims.claim_sensor(request.serial, identity.recipe, request.operator))
         # No other run of the sensor can begin now, and one that has ended is stored.
-        asked = _gate_request(request, tested_by=tested_by)
-        session.gate = ask_gate_again(gate, [GateCheck.RETEST], asked, configuration, plugins, store)
+        gate_request = _gate_request(request, tested_by=tested_by)
+        session.gate = ask_gate_again(gate, [GateCheck.RETEST], gate_request, configuration, plugins, store)
         begun(run)
-        held.enter_context(store.claims.hold_run(run, request.operator))
+        stack.enter_context(store.claims.hold_run(run, request.operator))
         return session.run(identity, store)
 
 
@@ -325,5 +326,7 @@ def _identity(
         configuration_digest=configuration.digest,
         software=software_versions(plugins),
         instruments=instruments,
-        simulated=tuple(f"{one.role}: {one.model}" for one in instruments if one.simulated),
+        simulated=tuple(
+            f"{instrument.role}: {instrument.model}" for instrument in instruments if instrument.simulated
+        ),
     )

@@ -46,20 +46,20 @@ from cbsr_qa.system.clock import Stages, WallWatch
 
 Ask = Callable[[str], str]
 
-#: What the clock may be set by without a word: networks correct it by seconds.
+#: Largest correction of the clock that is made without a warning: networks correct it by seconds.
 _CLOCK_MOVED: Final = timedelta(minutes=1)
 
 
 @dataclass(frozen=True, slots=True)
 class Done:
-    """What earlier sessions of a run have done.
+    """Loads, phases and prompts of earlier sessions of a run.
 
     Parameters
     ----------
-    loads : (phase, index) of finished presses.
-    phases : finished ones.
+    loads : phase and index of each finished press.
+    phases : indices of finished phases.
     until_s : start of this session on the run's time line [s].
-    prompts : how many were shown.
+    prompts : number of prompts that were shown.
     """
 
     loads: frozenset[LoadKey] = frozenset()
@@ -69,7 +69,7 @@ class Done:
 
 
 def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
-    """Check recipe, plugins and limits before anything moves. RefusedError if one fails."""
+    """Check recipe, plugins and limits before anything moves. Raise RefusedError if one fails."""
     check_recipe(configuration.recipe, configuration.sensor_type, plugins)
     planned = plan_of(configuration, plugins)
     station_key(configuration.station)
@@ -84,9 +84,9 @@ class Session:
 
     Parameters
     ----------
-    configuration : checked, see :func:`check_configuration`.
+    configuration : checked configuration, see :func:`check_configuration`.
     ask : shows a text to the operator and returns the answer; None without an operator.
-    done : by earlier sessions of the same run.
+    done : loads, phases and prompts of earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.
     gate : answers of the checks before this session.
     control : takes requests and prompts of others; None: nobody is served.
@@ -133,8 +133,8 @@ class Session:
         desk = None if control is None else control.desk
         if self._asks is None and not (desk is not None and desk.answers):
             return None
-        who = "" if control is None else control.operator
-        return OperatorPrompt(self._ask_operator, desk, operator=who, first=self._done.prompts)
+        operator = "" if control is None else control.operator
+        return OperatorPrompt(self._ask_operator, desk, operator=operator, first=self._done.prompts)
 
     def __enter__(self) -> Self:
         # Here, not before: a signal between opening and entering would leave the bench open.
@@ -252,9 +252,9 @@ def clock_warning(moved: timedelta) -> str:
     """Return a warning if the computer's clock was set while a run was measured; else empty."""
     if abs(moved) < _CLOCK_MOVED:
         return ""
-    which, by = "forward" if moved > timedelta() else "back", duration(abs(moved).total_seconds())
+    direction, shift = "forward" if moved > timedelta() else "back", duration(abs(moved).total_seconds())
     return (
-        f"this computer's clock was set {which} by {by} while the run was measured, or the computer slept:"
+        f"this computer's clock was set {direction} by {shift} while the run was measured, or the computer slept:"
         " check the dates of what follows; times within the run, and the order of runs, are by other clocks"
     )
 
@@ -266,7 +266,7 @@ def deliver_verdict(
 
     Parameters
     ----------
-    number : of events of the session before this one.
+    number : number of events of the session before this one.
     """
     with suppress(AbortedError), stoppable():
         sinks = EventSinks(configuration.station.events, plugins, identity, on_stderr, first=number)

@@ -11,7 +11,7 @@ from cbsr_qa.domain.errors import AbortedError, StoppedError
 from cbsr_qa.system.redelivery import Redelivery
 from cbsr_qa.system.stubborn import end_later
 
-#: How long it may take to give up opening a bench, to make it safe and to close it [s].
+#: Time that it may take to give up opening a bench, to make it safe and to close it [s].
 _CLOSES_WITHIN_S: Final = 45.0
 
 
@@ -42,7 +42,7 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
 
     Parameters
     ----------
-    within_s : how long that may take, where code of a plugin might catch the interruption; then a process that
+    within_s : longest clean-up [s], where code of a plugin might catch the interruption; then a process that
         another one watches over is killed. Only if no head is down. None: any time.
 
     Raises
@@ -50,35 +50,35 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
     AbortedError
         After the clean-up, if a signal or the keyboard interrupted it.
     """
-    heard: list[str] = []
-    ended: list[Callable[[], None]] = []
+    signal_names: list[str] = []
+    cancel_callbacks: list[Callable[[], None]] = []
     redelivery = Redelivery()
 
     def stop(number: int, frame: FrameType | None) -> None:
         if signal.getsignal(number) is not stop:  # the steps of a run hear it meanwhile, and ask who sent it
-            if callable(before[number]):
-                before[number](number, frame)
+            if callable(handler_by_signal[number]):
+                handler_by_signal[number](number, frame)
             return
-        if not heard or redelivery.was_dropped():
-            if not heard and within_s is not None:
-                ended.append(end_later(within_s))
-            heard.append(signal.Signals(number).name)
+        if not signal_names or redelivery.was_dropped():
+            if not signal_names and within_s is not None:
+                cancel_callbacks.append(end_later(within_s))
+            signal_names.append(signal.Signals(number).name)
             redelivery.number = number
             raise KeyboardInterrupt
 
-    here = threading.current_thread() is threading.main_thread()
-    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if here and hasattr(signal, name)]
+    in_main_thread = threading.current_thread() is threading.main_thread()
+    names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if in_main_thread and hasattr(signal, name)]
     numbers = [getattr(signal, name) for name in names]
     # A signal inherited as ignored stays ignored, as the caller intended.
-    heard_of = [number for number in numbers if signal.getsignal(number) not in (signal.SIG_IGN, None)]
-    before: dict[int, Any] = {number: signal.signal(number, stop) for number in heard_of}
+    caught_numbers = [number for number in numbers if signal.getsignal(number) not in (signal.SIG_IGN, None)]
+    handler_by_signal: dict[int, Any] = {number: signal.signal(number, stop) for number in caught_numbers}
     try:
         with redelivery:
             yield
     except KeyboardInterrupt as error:
-        raise AbortedError(f"signal {heard[0]}" if heard else "the keyboard") from error
+        raise AbortedError(f"signal {signal_names[0]}" if signal_names else "the keyboard") from error
     finally:
-        for spare in ended:
-            spare()
-        for number, handler in before.items():
+        for cancel in cancel_callbacks:
+            cancel()
+        for number, handler in handler_by_signal.items():
             signal.signal(number, handler)

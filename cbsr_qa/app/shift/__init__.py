@@ -1,1 +1,1 @@
-"""What was tested: runs, sensors, and the yield of a shift."""
+"""Tested runs and sensors, and the yield of a shift."""

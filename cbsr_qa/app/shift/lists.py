@@ -20,9 +20,9 @@ from cbsr_qa.system.words import echo
 
 Altered: TypeAlias = Literal["altered"]
 
-#: Runs that are listed if nothing says which: reading 100 000 takes half a minute.
+#: Number of runs that are listed by default: reading 100 000 takes half a minute.
 LATEST_RUNS: Final = 50
-#: What is said of runs that were altered, or of which nobody can tell.
+#: Texts about runs that were altered, and about runs that cannot be checked.
 _TRUST: Final = {
     "altered": "{count} altered since stored: no verdict, not counted, listed by --failed too; see cbsr-qa db check",
     "unchained": "{count} without a chain: nothing tells whether it was altered",
@@ -39,10 +39,10 @@ class ListRequest:
 
     Parameters
     ----------
-    selection : of the runs.
-    failed : only runs that failed; sensors that failed in their last decided run.
-    limit : only failures of the limit of this name, as recipes write it or in words; empty for any.
-    latest : only so many of the latest that remain; None for all.
+    selection : selection of the runs.
+    failed : whether to list only runs that failed, or sensors that failed in their last decided run.
+    limit : name of a limit, as recipes write it or in words: only its failures; empty for any.
+    latest : largest number of entries, the latest of those that remain; None for all.
 
     Raises
     ------
@@ -73,7 +73,7 @@ def list_request(
 ) -> ListRequest:
     """Return which runs are meant by a day and criteria; ``selection``: further fields of a RunSelection.
 
-    RefusedError if two of them exclude each other.
+    Raise RefusedError if two of them exclude each other.
     """
     if today and (since or until):
         raise RefusedError("--today with --since or --until", remedy="give one of them")
@@ -88,13 +88,14 @@ class RunEntry:
 
     Parameters
     ----------
-    verdict : what counts, an override included; None if the run did not finish or has no result. ``altered`` if what
-        is stored of it does not match its chain: it has no outcome then, and ``reason`` says what does not match.
-    outcome, reason : of its analysis.
+    verdict : verdict that counts, an override included; None if the run did not finish or has no result. ``altered``
+        if what is stored of it does not match its chain: it has no outcome then, and ``reason`` says what does not
+        match.
+    outcome, reason : outcome and reason of its analysis.
     overridden_by, overridden_why : operator and reason of the override; None without one.
-    failed_limits : for which it counts as failed, as recipes write them.
-    number : of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
-    of_check : whether it is a golden sensor's, made to check its station.
+    failed_limits : limits for which it counts as failed, as recipes write them.
+    number : number of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
+    of_check : whether the run is a golden sensor's, made to check its station.
     chain : ``unchained`` (nothing would tell if it was altered), ``chained``, ``signed``, ``signature not checked``
         if it is signed with another key than the one that is set.
     """
@@ -159,13 +160,14 @@ class SensorEntry:
     Parameters
     ----------
     runs, tries : all runs of the selection, and those that finished.
-    first, last : when the first and the last run began.
-    station, operator, end, run : of the last run.
-    verdict, reason, failed_limits : of the last decided run; None and empty where nothing was decided. ``altered`` if
-        a run after it, or it, does not match its chain; ``reason`` then says what does not.
+    first, last : start of the first and of the last run.
+    station, operator, end, run : station, operator, end and identifier of the last run.
+    verdict, reason, failed_limits : verdict, reason and failed limits of the last decided run; None and empty where
+        nothing was decided. ``altered`` if a run after it, or it, does not match its chain; ``reason`` then says what
+        does not.
     overridden_by, overridden_why : operator and reason of the override of that run; None without one.
     first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
-    chain : of the last decided run, else of the last one, as of a :class:`RunEntry`.
+    chain : chain of the last decided run, else of the last one, as in a :class:`RunEntry`.
     """
 
     serial: str
@@ -208,35 +210,35 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
     StoreError
         If the database cannot be read; of a damaged run the message names it.
     """
-    runs = kept = _select_runs(store, request)
+    runs = selected = _select_runs(store, request)
     if request.failed or request.limit:
-        kept = [run for run in runs if _has_failed(run, request.limit)][-(request.latest or 0) :]
-    notes = (*_notes(request, runs, kept), *trust_notes(store, trust_counts(kept)))
+        selected = [run for run in runs if _has_failed(run, request.limit)][-(request.latest or 0) :]
+    notes = (*_notes(request, runs, selected), *trust_notes(store, trust_counts(selected)))
     if (
-        kept is runs
+        selected is runs
         and request.latest is not None
-        and (count := store.lists.count_runs(request.selection)) > len(kept)
+        and (count := store.lists.count_runs(request.selection)) > len(selected)
     ):
-        notes = (_LATEST.format(shown=len(kept), count=count), *notes)
-    return RunList(summarise_runs(kept), tuple(map(RunEntry.from_run, kept)), notes)
+        notes = (_LATEST.format(shown=len(selected), count=count), *notes)
+    return RunList(summarise_runs(selected), tuple(map(RunEntry.from_run, selected)), notes)
 
 
 def list_sensors(store: Repository, request: ListRequest) -> SensorList:
     """List sensors, each with the verdict of its last decided run among the selected ones. Raises as list_runs."""
     runs = _select_runs(store, replace(request, latest=None))
-    of: dict[tuple[str, str], list[ListedRun]] = {}
+    runs_by_sensor: dict[tuple[str, str], list[ListedRun]] = {}
     for run in runs:
-        of.setdefault((run.serial, run.recipe), []).append(run)
-    groups = [*of.values(), *([run] for own in of.values() for run in _unshown(own))]
+        runs_by_sensor.setdefault((run.serial, run.recipe), []).append(run)
+    groups = [*runs_by_sensor.values(), *([run] for own in runs_by_sensor.values() for run in _unshown(own))]
     groups.sort(key=lambda own: own[-1].run)
     if request.failed or request.limit:
         groups = [
             own for own in groups if any(_has_failed(run, request.limit) for run in select_settled_runs(own)[-1:])
         ]
     groups = groups[-(request.latest or 0) :]
-    kept = sorted({run.run: run for own in groups for run in own}.values(), key=lambda run: run.run)
-    notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept)))
-    return SensorList(summarise_runs(kept), tuple(map(_state, groups)), notes)
+    kept_runs = sorted({run.run: run for own in groups for run in own}.values(), key=lambda run: run.run)
+    notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept_runs)))
+    return SensorList(summarise_runs(kept_runs), tuple(map(_state, groups)), notes)
 
 
 def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
@@ -247,7 +249,7 @@ def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
 def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[RunPage]:
     """Yield the runs that :func:`list_runs` lists in pages, in the order they were made in.
 
-    Only one page is in memory, and the identifiers of all selected runs; with ``latest`` beside ``failed`` or
+    Only one page is in memory, and the identifiers of all selected runs; with ``latest`` together with ``failed`` or
     ``limit`` so many runs. Runs that begin meanwhile are left out. Raises as list_runs.
     """
     filtered = request.failed or bool(request.limit)
@@ -255,20 +257,20 @@ def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[Ru
     names = store.lists.read_names(selection)
     if not names:
         _check_each_name(store, selection)
-    kept: deque[ListedRun] = deque(maxlen=request.latest)
+    latest_failed: deque[ListedRun] = deque(maxlen=request.latest)
     for start in range(0, len(names), size):
-        own = names[start : start + size]
-        page = store.lists.read_named(own)
-        done = start + len(own)
+        page_names = names[start : start + size]
+        page = store.lists.read_named(page_names)
+        runs_read = start + len(page_names)
         if not filtered:
-            yield RunPage(page, done, len(names))
+            yield RunPage(page, runs_read, len(names))
             continue
-        kept.extend(run for run in page if _has_failed(run, request.limit))
-        if request.latest is None or done == len(names):
-            yield RunPage(tuple(kept), done, len(names))
-            kept.clear()
+        latest_failed.extend(run for run in page if _has_failed(run, request.limit))
+        if request.latest is None or runs_read == len(names):
+            yield RunPage(tuple(latest_failed), runs_read, len(names))
+            latest_failed.clear()
         else:
-            yield RunPage((), done, len(names))
+            yield RunPage((), runs_read, len(names))
 
 
 def _select_runs(store: Repository, request: ListRequest) -> list[ListedRun]:
@@ -300,8 +302,8 @@ def _notes(request: ListRequest, runs: Sequence[ListedRun], kept: Sequence[objec
     if kept or not request.limit:
         return ()
     failed = {key.name for run in runs for key in list_failed_limits(run)}
-    which = nearest(request.limit, failed, "failed were") if failed else "no limit was failed"
-    return (f"limit {echo(request.limit, 64)} was failed by none of these {plural(len(runs), 'run')}; {which}",)
+    hint = nearest(request.limit, failed, "failed were") if failed else "no limit was failed"
+    return (f"limit {echo(request.limit, 64)} was failed by none of these {plural(len(runs), 'run')}; {hint}",)
 
 
 def trust_counts(runs: Sequence[ListedRun]) -> Counter[str]:
@@ -316,7 +318,7 @@ def trust_notes(store: Repository, counts: Counter[str]) -> tuple[str, ...]:
 
 
 def _has_failed(run: ListedRun, limit: str) -> bool:
-    """Whether a run failed, or may have: one that was altered must not be missing among those that failed."""
+    """Whether a run failed, or may have failed: lists of failed runs must not lack an altered one."""
     if run.altered:
         return True
     keys = list_failed_limits(run)
@@ -329,22 +331,22 @@ def _unshown(runs: Sequence[ListedRun]) -> list[ListedRun]:
 
 
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:
-    last, settled = runs[-1], select_settled_runs(runs)
-    first = [run.passed for run in settled if not run.earlier and not run.altered]
+    last_run, settled = runs[-1], select_settled_runs(runs)
+    first_passes = [run.passed for run in settled if not run.earlier and not run.altered]
     decision = settled[-1].decision if settled else None
     verdicts: list[Outcome | Altered | None] = [ALTERED if run.altered else run.verdict for run in settled[-1:]]
     return fill_from_object(
         SensorEntry,
-        last,
+        last_run,
         runs=len(runs),
         tries=sum(run.finished for run in runs),
         first=runs[0].started_at,
-        last=last.started_at,
+        last=last_run.started_at,
         verdict=verdicts[0] if verdicts else None,
         reason=settled[-1].reason if settled else "",
         overridden_by=None if decision is None else decision.operator,
         overridden_why=None if decision is None else decision.why,
         failed_limits=tuple(key.label for run in settled[-1:] for key in list_failed_limits(run)),
-        first_pass=first[0] if first else None,
-        chain=(settled[-1] if settled else last).chain.label,
+        first_pass=first_passes[0] if first_passes else None,
+        chain=(settled[-1] if settled else last_run).chain.label,
     )

@@ -68,8 +68,8 @@ def sensors_csv(found: SensorList) -> str:
 
 def counts_words(tally: Tally) -> str:
     """Return how many runs passed and failed, and what became of the others if there are any."""
-    others = "".join(f", {getattr(tally, key)} {words}" for key, words in _OTHERS if getattr(tally, key))
-    return _COUNTS.format(passed=tally.passed, failed=tally.failed, others=others)
+    other_counts = "".join(f", {getattr(tally, key)} {label}" for key, label in _OTHERS if getattr(tally, key))
+    return _COUNTS.format(passed=tally.passed, failed=tally.failed, others=other_counts)
 
 
 def yield_words(found: Yield | None) -> str:
@@ -119,9 +119,9 @@ def _cut(caption: str, count: int) -> str:
 
 
 def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
-    why = _why(run)
+    reason = _why(run)
     if run.verdict is None:
-        why = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
+        reason = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
     return (
         _moment(run.started_at),
         run.serial,
@@ -130,7 +130,7 @@ def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
         run.station,
         run.recipe,
         _verdict(run.verdict, run.end, run.chain),
-        why,
+        reason,
     )
 
 
@@ -160,8 +160,8 @@ def _verdict(verdict: Outcome | Altered | None, end: EndReason, chain: str) -> C
     unsaid = f", {chain}" if chain == UNCHAINED.label else ""  # nothing would tell if it was altered
     if verdict is not None:
         return Cell(f"{verdict}{unsaid}", verdict)
-    words = "no result" if end is EndReason.FINISHED else str(end)
-    return Cell(f"{words}{unsaid}", Outcome.NOT_MEASURED)
+    end_words = "no result" if end is EndReason.FINISHED else str(end)
+    return Cell(f"{end_words}{unsaid}", Outcome.NOT_MEASURED)
 
 
 def _moment(moment: datetime) -> str:

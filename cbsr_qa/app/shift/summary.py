@@ -22,13 +22,14 @@ class Tally:
 
     Parameters
     ----------
-    name : of the station or recipe; empty for all.
+    name : name of the station or recipe; empty for all.
     runs : passed + failed + not_measured + not_judged + no_result + not_finished + altered.
     decided : passed + failed.
-    passed : of these ``marginal`` only just.
-    no_result : finished, without an analysis.
-    not_finished : aborted, broken, cut off or in progress; a verdict of them does not count.
-    altered : what is stored of them does not match their chains; a sensor counts in no yield if its last run is one.
+    passed : number that passed; ``marginal`` of them only just.
+    no_result : number of finished runs without an analysis.
+    not_finished : number of runs that were aborted, broken, cut off or in progress; their verdicts do not count.
+    altered : number of runs whose stored rows do not match their chains; a sensor counts in no yield if its last run
+        is one.
     sensors : serial numbers.
     test_yield : share of sensors that passed in their last decided run; a sensor counts once for each recipe. With
         Wilson's interval (95 %); None if nothing was decided.
@@ -60,8 +61,9 @@ class FailureReason:
     Parameters
     ----------
     limit : name of the metric with phase and qualifier, as recipes write it; empty where an operator decided.
-    words : as people say it.
-    sensors, runs : that failed it, in a run that counts as failed; one run may fail several limits.
+    words : the limit as people say it.
+    sensors, runs : numbers of sensors that failed it and of runs that count as failed; one run may fail several
+        limits.
     """
 
     limit: str
@@ -100,7 +102,7 @@ def shift_summary(store: Repository, selection: RunSelection) -> ShiftSummary:
 def summarise_runs(runs: Sequence[ListedRun]) -> ShiftSummary:
     """Summarise runs that are in the order they were made in; those that checked a station are left out.
 
-    An altered one is counted as such, though: nobody knows what it was.
+    An altered run is counted as altered instead: its outcome is not known.
     """
     runs = [run for run in runs if run.altered or not run.of_check]
     return ShiftSummary(
@@ -125,33 +127,33 @@ def _tally_by(runs: Sequence[ListedRun], name: Callable[[ListedRun], str]) -> tu
     groups: dict[str, list[ListedRun]] = {}
     for run in runs:
         groups.setdefault(name(run), []).append(run)
-    return tuple(_tally(of, groups[of]) for of in sorted(groups))
+    return tuple(_tally(group_name, groups[group_name]) for group_name in sorted(groups))
 
 
 def _tally(name: str, runs: Sequence[ListedRun]) -> Tally:
-    altered = sum(bool(run.altered) for run in runs)
-    counts = Counter(run.verdict for run in runs if run.finished and not run.altered)
-    passed = counts[Outcome.PASS] + counts[Outcome.MARGINAL]
+    altered_count = sum(bool(run.altered) for run in runs)
+    count_by_verdict = Counter(run.verdict for run in runs if run.finished and not run.altered)
+    passed = count_by_verdict[Outcome.PASS] + count_by_verdict[Outcome.MARGINAL]
     settled = select_settled_runs(runs)
-    decided = [run for run in settled if not run.altered]
-    last = {(run.serial, run.recipe): run for run in settled}
-    first = [run for run in decided if not run.earlier]  # no finished run of the sensor before it
+    decided_runs = [run for run in settled if not run.altered]
+    last_runs = {(run.serial, run.recipe): run for run in settled}
+    first_runs = [run for run in decided_runs if not run.earlier]  # no finished run of the sensor before it
     return Tally(
         name=name,
         runs=len(runs),
-        decided=len(decided),
+        decided=len(decided_runs),
         passed=passed,
-        marginal=counts[Outcome.MARGINAL],
-        failed=counts[Outcome.FAIL],
-        not_measured=counts[Outcome.NOT_MEASURED],
-        not_judged=counts[Outcome.NOT_JUDGED],
-        no_result=counts[None],
-        not_finished=len(runs) - counts.total() - altered,
-        altered=altered,
+        marginal=count_by_verdict[Outcome.MARGINAL],
+        failed=count_by_verdict[Outcome.FAIL],
+        not_measured=count_by_verdict[Outcome.NOT_MEASURED],
+        not_judged=count_by_verdict[Outcome.NOT_JUDGED],
+        no_result=count_by_verdict[None],
+        not_finished=len(runs) - count_by_verdict.total() - altered_count,
+        altered=altered_count,
         overridden=sum(run.finished and run.decision is not None for run in runs),
         sensors=len({run.serial for run in runs}),
-        test_yield=_share([run for run in last.values() if not run.altered]),
-        first_pass_yield=_share(first),
+        test_yield=_share([run for run in last_runs.values() if not run.altered]),
+        first_pass_yield=_share(first_runs),
     )
 
 
@@ -160,11 +162,11 @@ def _share(runs: Sequence[ListedRun]) -> Yield | None:
 
 
 def _reasons(runs: Sequence[ListedRun]) -> tuple[FailureReason, ...]:
-    found: dict[tuple[str, str], list[str]] = {}
+    serials_by_limit: dict[tuple[str, str], list[str]] = {}
     for run in runs:
         if run.verdict is not Outcome.FAIL:
             continue
         for limit in [(key.label, key.title) for key in list_failed_limits(run)] or [("", BY_OPERATOR)]:
-            found.setdefault(limit, []).append(run.serial)
-    reasons = [FailureReason(*limit, len(set(serials)), len(serials)) for limit, serials in found.items()]
+            serials_by_limit.setdefault(limit, []).append(run.serial)
+    reasons = [FailureReason(*limit, len(set(serials)), len(serials)) for limit, serials in serials_by_limit.items()]
     return tuple(sorted(reasons, key=lambda reason: (-reason.sensors, -reason.runs, reason.limit)))

@@ -33,7 +33,7 @@ from cbsr_qa.station.setup import check_clock, opener
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.copies import come_back_once
 
-#: Called with a request, returns whether the operator carried it out; None without an operator.
+#: Function that is called with a request and returns whether the operator carried it out; None without an operator.
 Confirm = Callable[[str], bool] | None
 
 #: Subject of lines about all instruments together.
@@ -68,9 +68,9 @@ def look_at_bench(
 
     Parameters
     ----------
-    ring : to measure, if any.
+    ring : ring to measure, if any.
     confirm : called before the ring is measured on a real bench.
-    ask : for instruments worked by hand; None without an operator.
+    ask : function that asks an operator to work instruments by hand; None without an operator.
 
     Raises
     ------
@@ -78,18 +78,20 @@ def look_at_bench(
         If the ring does not fit the sensor type, or an emulator cannot be started.
     """
     resistances = _resistances(configuration, ring)
-    seen = with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
-    look = _Look(seen or configuration, clock, tell)
-    opened, after = opener(look.configuration, plugins, clock, ask=ask)
+    with_simulated_ring = (
+        with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
+    )
+    look = _Look(with_simulated_ring or configuration, clock, tell)
+    opened, callbacks = opener(look.configuration, plugins, clock, ask=ask)
     try:
         for spec in look.configuration.station.instruments:
             look.open(spec, opened, today)
-        connected = seen is not None or (bool(resistances) and look.has_ring(resistances, confirm))
-        look.put_together(after)
+        connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
+        look.put_together(callbacks)
         look.sample()
         look.measure_ring(ring, resistances, connected)
     finally:
-        look.close(after)
+        look.close(callbacks)
     return look.found
 
 
@@ -108,11 +110,11 @@ def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) 
             return spec
         return replace(spec, options={**spec.options, "scene": _add_ring(spec.options["scene"], resistances_ohm)})
 
-    emulated = station.emulated_scene
-    if isinstance(emulated, Mapping):
-        emulated = _add_ring(emulated, resistances_ohm)
+    emulated_scene = station.emulated_scene
+    if isinstance(emulated_scene, Mapping):
+        emulated_scene = _add_ring(emulated_scene, resistances_ohm)
     instruments = tuple(replace_scene(spec) for spec in station.instruments)
-    return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated))
+    return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated_scene))
 
 
 def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
@@ -149,9 +151,9 @@ class _Look:
             self._mounted.append(mounted)
             if not isinstance(mounted.instrument, Linked):
                 self._ask(mounted)
-        due = _due(spec, self.configuration.station, today)
-        if due is not None:
-            self._add(due)
+        due_line = _due(spec, self.configuration.station, today)
+        if due_line is not None:
+            self._add(due_line)
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
@@ -163,21 +165,23 @@ class _Look:
             self._missing += 1
             return
         self.found.instruments.append(identity)
-        parts = [
+        identity_parts = [
             identity.model,
             f"serial {identity.serial}" if identity.serial else "",
             f"firmware {identity.firmware}",
         ]
-        known = [part for part in parts[: 3 if identity.firmware else 2] if part]
+        known_parts = [part for part in identity_parts[: 3 if identity.firmware else 2] if part]
         simulation_notes = ["simulated"] if identity.simulated else []
-        who = ", ".join([*known, *(f"{what} {value}".strip() for what, value in identity.notes), *simulation_notes])
-        self._add(CheckResult("identity", CheckOutcome.OK, said=who, subject=role))
+        identity_words = ", ".join(
+            [*known_parts, *(f"{what} {value}".strip() for what, value in identity.notes), *simulation_notes]
+        )
+        self._add(CheckResult("identity", CheckOutcome.OK, said=identity_words, subject=role))
         self._self_test(mounted)
 
     def _self_test(self, mounted: Mounted) -> None:
         if not isinstance(mounted.instrument, SelfTesting):
-            why = f"driver {mounted.spec.driver} has none"
-            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=why, subject=mounted.spec.role))
+            reason = f"driver {mounted.spec.driver} has none"
+            self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=reason, subject=mounted.spec.role))
             return
         try:
             with come_back_once():
@@ -193,16 +197,16 @@ class _Look:
 
     def put_together(self, after: tuple[Action, ...]) -> None:
         """Build a bench if no instrument is missing, and query those that work through others."""
-        linked = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
+        linked_instruments = [mounted for mounted in self._mounted if isinstance(mounted.instrument, Linked)]
         if self._missing:
-            for mounted in linked:
-                why, role = "it works through others, of which one is missing", mounted.spec.role
-                self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=why, subject=role))
+            for mounted in linked_instruments:
+                reason, role = "it works through others, of which one is missing", mounted.spec.role
+                self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=reason, subject=role))
             return
         try:
             bench = Bench(self._mounted, after=after)
             emulates = any(mounted.spec.emulated for mounted in self._mounted)
-            for mounted in linked:
+            for mounted in linked_instruments:
                 self._ask(mounted, emulated=emulates and "address" not in mounted.spec.options)
             if not self._missing:
                 check_clock(self.configuration, self.found.instruments)
@@ -231,13 +235,13 @@ class _Look:
         if ring is None:
             return self._add(_skip_ring("its resistances are not given, or --no-ring", _NO_RING))
         if not resistances_ohm:
-            why = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
-            return self._add(_skip_ring(why, "set the station up for a sensor type with more"))
+            reason = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
+            return self._add(_skip_ring(reason, "set the station up for a sensor type with more"))
         if self._bench is None:
             return self._add(_skip_ring("the instruments do not work together", "see above"))
         if not connected:
-            why = "it is not known whether the ring is connected"
-            return self._add(_skip_ring(why, "run it from a terminal, or with --ring-connected once it is"))
+            reason = "it is not known whether the ring is connected"
+            return self._add(_skip_ring(reason, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
             with come_back_once():
@@ -255,10 +259,10 @@ class _Look:
         else:
             unsafe = stop_all([(mounted.name, mounted.instrument.safe_state) for mounted in self._mounted])
             unclosed = stop_all([*((mounted.name, mounted.instrument.close) for mounted in self._mounted), *after])
-        for name, who in (("safe state", unsafe), ("closing", unclosed)):
-            for words in who:
+        for name, problems in (("safe state", unsafe), ("closing", unclosed)):
+            for problem in problems:
                 remedy = "switch the source off and lift the head by hand, then check this instrument"
-                self._add(CheckResult(name, CheckOutcome.FAILED, said=words, remedy=remedy, subject=_WHOLE))
+                self._add(CheckResult(name, CheckOutcome.FAILED, said=problem, remedy=remedy, subject=_WHOLE))
         if self._mounted and not unsafe:
             finding = "source off, head up: every instrument says so"
             self._add(CheckResult("safe state", CheckOutcome.OK, said=finding, subject=_WHOLE))
@@ -288,9 +292,9 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
     if spec.calibration_due is None:
         return None
     days = (date.fromisoformat(spec.calibration_due) - today).days
-    late = past_due(spec.calibration_due, today)
+    is_late = past_due(spec.calibration_due, today)
     outcome = CheckOutcome.OK
-    if late:
+    if is_late:
         outcome = (
             CheckOutcome.FAILED
             if station.gate.policy(GateCheck.CALIBRATION_DUE) is GatePolicy.REFUSE
@@ -303,8 +307,8 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
         value=float(days),
         unit="d",
         allowed="0 or more days left",
-        said=f"due on {spec.calibration_due}" + (f"; {policy}" if late else ""),
-        remedy="have it calibrated and give the new calibration_due in the station file" if late else "",
+        said=f"due on {spec.calibration_due}" + (f"; {policy}" if is_late else ""),
+        remedy="have it calibrated and give the new calibration_due in the station file" if is_late else "",
         subject=spec.role,
     )
 
@@ -312,14 +316,14 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
 def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:
     block, name = sampler.samples_since(begun_s), f"samples of {sampler.channel}"
     if not len(block) and FORCE_APPLICATOR in spec.provides and sampler.channel != FORCE_CHANNEL:
-        why = "it says where the head is while that moves, and nothing moved"
-        return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=spec.role)
+        reason = "it says where the head is while that moves, and nothing moved"
+        return CheckResult(name, CheckOutcome.NOT_DONE, said=reason, subject=spec.role)
     finite = bool(len(block)) and bool(np.isfinite(block.values).all())
     finding = f"no sample in {stale_s:g} s"
     if len(block):
         mean, deviation = float(block.values.mean()), float(block.values.std())
-        shown = unit_shown(block.unit)
-        finding = f"mean {number(mean)} {shown}, standard deviation {number(deviation, 2)} {shown}"
+        shown_unit = unit_shown(block.unit)
+        finding = f"mean {number(mean)} {shown_unit}, standard deviation {number(deviation, 2)} {shown_unit}"
     return CheckResult(
         name,
         CheckOutcome.OK if finite else CheckOutcome.FAILED,
@@ -334,5 +338,7 @@ def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale
 
 def _connect_words(resistances_ohm: tuple[float, ...]) -> str:
     alike = len(set(resistances_ohm)) == 1
-    of = f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
-    return f"Connect the reference ring ({len(resistances_ohm)} resistors, {of}) in place of the sensor"
+    resistance_words = (
+        f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
+    )
+    return f"Connect the reference ring ({len(resistances_ohm)} resistors, {resistance_words}) in place of the sensor"

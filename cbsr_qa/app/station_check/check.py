@@ -97,11 +97,11 @@ def check_station(
         writable_folder(folder)
     confirm: Confirm = None if ask is None else lambda words: _ask_confirmation(ask, words)
     # The operator is asked only once for each thing.
-    placed: Confirm = None if simulated or confirm is None else cache(confirm)
+    confirm_placed: Confirm = None if simulated or confirm is None else cache(confirm)
     with open_store(database_url(request.database), tell=on_stderr) as store:
-        if placed is not None and request.golden is not None and ring is None:
+        if confirm_placed is not None and request.golden is not None and ring is None:
             # Contacts are checked while the instruments are linked: something must be connected by then.
-            placed(_place_words(request.golden))
+            confirm_placed(_place_words(request.golden))
         doing = "checking the station"
         with station_held(configuration.station.name, who=request.operator, doing=doing), stoppable():
             findings = look_at_bench(
@@ -117,7 +117,7 @@ def check_station(
         _refuse_untried(findings, configuration)
         findings.lines += _backlog(store, configuration.station)
         golden = None
-        if request.golden is not None and _may_press(request.golden, findings, placed):
+        if request.golden is not None and _may_press(request.golden, findings, confirm_placed):
             golden = _golden(request, request.golden, findings, store, ask, tell, pin)
         check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
         store.stations.save_check(check, findings.ring)
@@ -197,15 +197,15 @@ def _backlog(store: Repository, station: Station) -> list[CheckResult]:
     if limit_h is None:
         return []
     backlog = store.read_backlog()
-    late = backlog.late(limit_h)
+    is_late = backlog.late(limit_h)
     return [
         CheckResult(
             "backlog",
-            CheckOutcome.WARNING if late else CheckOutcome.OK,
+            CheckOutcome.WARNING if is_late else CheckOutcome.OK,
             backlog.age_h,
             "" if backlog.age_h is None else "h",
             f"≤ {limit_h:g} h",
-            "send it: cbsr-qa db sync" if late else "",
+            "send it: cbsr-qa db sync" if is_late else "",
             backlog.words,
             "central database",
         )
@@ -228,14 +228,14 @@ def _place_words(serial: str) -> str:
 
 def _may_press(serial: str, findings: BenchFindings, confirm: Confirm) -> bool:
     """Whether the golden sensor may be run; a line says why not."""
-    why = ""
+    reason = ""
     if any(line.outcome is CheckOutcome.FAILED and line.name in _NEEDED for line in findings.lines):
-        why = "the bench is not whole"
+        reason = "the bench is not whole"
     elif confirm is not None and not confirm(_place_words(serial)):
-        why = "the operator did not put it on the station"
-    if why:
-        findings.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=why, subject=_subject(serial)))
-    return not why
+        reason = "the operator did not put it on the station"
+    if reason:
+        findings.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=reason, subject=_subject(serial)))
+    return not reason
 
 
 def _golden(
@@ -253,7 +253,7 @@ def _golden(
     def line(outcome: CheckOutcome, said: str, remedy: str = "") -> None:
         findings.lines.append(CheckResult("run", outcome, said=said, remedy=remedy, subject=subject))
 
-    wanted = RunRequest(
+    run_request = RunRequest(
         station=request.station,
         recipe=GOLDEN_RECIPE,
         serial=serial,
@@ -264,7 +264,7 @@ def _golden(
         golden=True,
     )
     try:
-        outcome = run_sensor(wanted, tell=tell, ask=ask, pin=pin)
+        outcome = run_sensor(run_request, tell=tell, ask=ask, pin=pin)
     except StoppedError:
         raise
     except CbsrError as error:

@@ -31,7 +31,7 @@ FIGURES: Final = (
     ("reciprocity_error", ""),
     ("drift", ""),
 )
-#: Joint confidence that an unchanged station is within all intervals: beyond it fails, or warns.
+#: Joint confidence that an unchanged station is within all intervals: values outside of them fail, or warn.
 FAILS_BEYOND: Final = 0.99
 WARNS_BEYOND: Final = 0.95
 _MOST_DECIMALS: Final = 9
@@ -80,32 +80,32 @@ def golden_history(store: Repository, run: str) -> GoldenHistory:
         If it is not stored.
     """
     identity, digest = store.runs.read_identity(run), measuring_digest(store.runs.read_configuration(run))
-    runs, unlike = [], 0
-    for other in reversed(store.runs.find(identity.sensor.serial)):
-        if other.recipe != identity.recipe or other.end is not EndReason.FINISHED or other.run >= run:
+    runs, unlike_count = [], 0
+    for other_run in reversed(store.runs.find(identity.sensor.serial)):
+        if other_run.recipe != identity.recipe or other_run.end is not EndReason.FINISHED or other_run.run >= run:
             continue
-        if other.altered:
-            raise StoreError(other.altered, remedy="restore the database from a copy")
-        analyses = store.analyses.load(other.run)
+        if other_run.altered:
+            raise StoreError(other_run.altered, remedy="restore the database from a copy")
+        analyses = store.analyses.load(other_run.run)
         adoption = analyses[0].adoption if analyses else None
         measuring = measuring_digest(
-            store.runs.read_configuration(other.run), "" if adoption is None else adoption.recipe
+            store.runs.read_configuration(other_run.run), "" if adoption is None else adoption.recipe
         )
         if not analyses or measuring != digest:
-            unlike += 1
+            unlike_count += 1
             continue
-        runs.append(GoldenRun(other.run, other.station, figures_of(analyses[0].measurements)))
-    return GoldenHistory(tuple(runs), unlike)
+        runs.append(GoldenRun(other_run.run, other_run.station, figures_of(analyses[0].measurements)))
+    return GoldenHistory(tuple(runs), unlike_count)
 
 
 def figures_of(measurements: Sequence[Measurement]) -> dict[str, Figure]:
     """Return the comparable values of a run: measured at every place, and not only bounded."""
     figures = {}
     for name, qualifier in FIGURES:
-        of = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
-        values = [m.value for m in of if m.value is not None and m.bound is Bound.EXACT]
-        if values and len(values) == len(of):
-            figures[name] = Figure(float(np.mean(values)), len(values), of[0].unit)
+        members = [m for m in measurements if (m.name, m.qualifier) == (name, qualifier)]
+        values = [m.value for m in members if m.value is not None and m.bound is Bound.EXACT]
+        if values and len(values) == len(members):
+            figures[name] = Figure(float(np.mean(values)), len(values), members[0].unit)
     return figures
 
 
@@ -120,59 +120,61 @@ def compare_golden(
 
     Parameters
     ----------
-    measurements, station : of the new run.
-    subject : of the lines.
+    measurements, station : measurements and station of the new run.
+    subject : subject of the lines.
     """
-    new = figures_of(measurements)
-    here = [run for run in history.runs if run.station == station]
-    elsewhere = [run for run in history.runs if run.station != station]
-    groups = [("here", here), (_stations(elsewhere), elsewhere)]
+    new_figures = figures_of(measurements)
+    runs_here = [run for run in history.runs if run.station == station]
+    runs_elsewhere = [run for run in history.runs if run.station != station]
+    groups = [("here", runs_here), (_stations(runs_elsewhere), runs_elsewhere)]
     compared = {
-        (name, where): values
-        for name, figure in new.items()
-        for where, runs in groups
+        (name, stations): values
+        for name, figure in new_figures.items()
+        for stations, runs in groups
         if len(values := _values(name, figure, runs)) >= FEWEST_VALUES
     }
-    lines = [_rests_on(here, elsewhere, history.unlike, subject)]
+    lines = [_rests_on(runs_here, runs_elsewhere, history.unlike, subject)]
     for name, _ in FIGURES:
-        if name not in new:
+        if name not in new_figures:
             lines.append(_lacking(name, [run for run in history.runs if name in run.figures], subject))
             continue
-        own = {where: compared[name, where] for where, _ in groups if (name, where) in compared}
-        lines.append(_line(name, new[name], own, len(compared), subject))
+        values_by_stations = {
+            stations: compared[name, stations] for stations, _ in groups if (name, stations) in compared
+        }
+        lines.append(_line(name, new_figures[name], values_by_stations, len(compared), subject))
     return tuple(lines)
 
 
 def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
     """Line of a value that could not be measured: a failure if earlier runs had it."""
-    why, lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
+    reason, is_lost = "it could not be measured in this run", len(had) >= FEWEST_VALUES
     return CheckResult(
         metric_words(name),
-        CheckOutcome.FAILED if lost else CheckOutcome.NOT_DONE,
-        said=f"{why}; {_runs(len(had))} had it" if lost else why,
-        remedy="the report of this run says why" if lost else "",
+        CheckOutcome.FAILED if is_lost else CheckOutcome.NOT_DONE,
+        said=f"{reason}; {_runs(len(had))} had it" if is_lost else reason,
+        remedy="the report of this run says why" if is_lost else "",
         subject=subject,
     )
 
 
 def _values(name: str, figure: Figure, runs: Sequence[GoldenRun]) -> list[float]:
     """Values in earlier runs, over as many places and in the same unit."""
-    of = [run.figures[name] for run in runs if name in run.figures]
-    return [other.value for other in of if (other.places, other.unit) == (figure.places, figure.unit)]
+    figures = [run.figures[name] for run in runs if name in run.figures]
+    return [earlier.value for earlier in figures if (earlier.places, earlier.unit) == (figure.places, figure.unit)]
 
 
 def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str) -> CheckResult:
-    enough = max(len(here), len(elsewhere)) >= FEWEST_VALUES
-    counts = f"{_runs(len(here))} at this station, {len(elsewhere)} at others"
-    counts += f" ({_stations(elsewhere)})" if elsewhere else ""
-    counts += f"; {_runs(unlike)} with another recipe, sensor type or head left out" if unlike else ""
+    is_enough = max(len(here), len(elsewhere)) >= FEWEST_VALUES
+    counts_text = f"{_runs(len(here))} at this station, {len(elsewhere)} at others"
+    counts_text += f" ({_stations(elsewhere)})" if elsewhere else ""
+    counts_text += f"; {_runs(unlike)} with another recipe, sensor type or head left out" if unlike else ""
     return CheckResult(
         "history",
-        CheckOutcome.OK if enough else CheckOutcome.NOT_DONE,
+        CheckOutcome.OK if is_enough else CheckOutcome.NOT_DONE,
         value=float(len(here) + len(elsewhere)),
         unit="1",
-        said=counts,
-        remedy="" if enough else f"no verdict on its figures before {FEWEST_VALUES} earlier runs; this one counts",
+        said=counts_text,
+        remedy="" if is_enough else f"no verdict on its figures before {FEWEST_VALUES} earlier runs; this one counts",
         subject=subject,
     )
 
@@ -180,26 +182,26 @@ def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike:
 def _line(
     name: str, figure: Figure, compared: Mapping[str, list[float]], comparisons: int, subject: str
 ) -> CheckResult:
-    value, shown = figure.value, metric_words(name)
+    value, title = figure.value, metric_words(name)
     if not compared:
-        why = f"fewer than {FEWEST_VALUES} earlier runs to compare with"
-        return CheckResult(shown, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=why, subject=subject)
-    outcomes, means, allowed = [CheckOutcome.OK], [], []
-    for where, values in compared.items():
+        reason = f"fewer than {FEWEST_VALUES} earlier runs to compare with"
+        return CheckResult(title, CheckOutcome.NOT_DONE, value=value, unit=figure.unit, said=reason, subject=subject)
+    outcomes, means, allowed_ranges = [CheckOutcome.OK], [], []
+    for stations, values in compared.items():
         fails = predict(values, confidence=1 - (1 - FAILS_BEYOND) / comparisons)
         warns = predict(values, confidence=1 - (1 - WARNS_BEYOND) / comparisons)
         outside = CheckOutcome.FAILED if not fails.holds(value) else CheckOutcome.WARNING
         outcomes += [] if warns.holds(value) else [outside]
-        means.append(f"{where} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
+        means.append(f"{stations} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
         reach = f"{_like(fails.low, fails)} to {_like(fails.high, fails)} {unit_shown(figure.unit)}".rstrip()
-        allowed.append(f"{reach} ({where})")
+        allowed_ranges.append(f"{reach} ({stations})")
     outcome = CheckOutcome.FAILED if CheckOutcome.FAILED in outcomes else outcomes[-1]
     return CheckResult(
-        shown,
+        title,
         outcome,
         value=value,
         unit=figure.unit,
-        allowed="; ".join(allowed),
+        allowed="; ".join(allowed_ranges),
         said="; ".join(means),
         remedy="" if outcome is CheckOutcome.OK else _CHANGED,
         subject=subject,

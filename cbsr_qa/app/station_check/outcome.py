@@ -76,7 +76,8 @@ def check_outcome(
     golden_run : its name for people; empty if not run.
     """
     instruments = tuple(
-        fill_from_object(AnsweringInstrument, one, notes=dict(one.notes)) for one in check.instruments
+        fill_from_object(AnsweringInstrument, instrument, notes=dict(instrument.notes))
+        for instrument in check.instruments
     )
     checked = fill_from_object(CheckedStation, check, instruments=instruments)
     code = 3 if not instruments else 1 if check.outcome is CheckOutcome.FAILED else 0
@@ -101,7 +102,9 @@ def _head(check: StationCheck, golden_run: str) -> Page:
         ("Golden run", golden_run or "none"),
         ("Configuration digest", check.configuration_digest),
     )
-    simulated = tuple(f"{one.role}: {one.model}" for one in check.instruments if one.simulated)
+    simulated = tuple(
+        f"{instrument.role}: {instrument.model}" for instrument in check.instruments if instrument.simulated
+    )
     return Page("Station check", check.station, banner, facts, simulated, ())
 
 
@@ -110,10 +113,10 @@ def _sections(
 ) -> list[Section]:
     of_ring = [line for line in check.results if line.subject == RING]
     of_golden = [line for line in check.results if line.subject.startswith("golden")]
-    rest = [line for line in check.results if line not in of_ring and line not in of_golden]
+    other_lines = [line for line in check.results if line not in of_ring and line not in of_golden]
     todo = remedies(check.results)
     sections = [Section("What to do", todo)] if todo else []
-    sections.append(Section("Instruments", (lines_table("Checks of the instruments.", rest),)))
+    sections.append(Section("Instruments", (lines_table("Checks of the instruments.", other_lines),)))
     if of_ring:
         sections.append(Section("Reference ring", _ring_blocks(of_ring, ring, pattern, allowed)))
     if of_golden:
@@ -130,11 +133,11 @@ def _ring_blocks(
     blocks: list[Block] = [Paragraph(_RING_WORDS)]
     if ring is not None and allowed is not None:
         current = ring.frames.current_A
-        at = "an unknown current" if current is None else quantity(current, "A")
+        current_text = "an unknown current" if current is None else quantity(current, "A")
         low, high = min(ring.resistances_ohm), max(ring.resistances_ohm)
         ohm = quantity(low, "ohm") if low == high else f"{quantity(low, 'ohm')} to {quantity(high, 'ohm')}"
         blocks.append(
-            Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {at}.")
+            Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {current_text}.")
         )
         blocks += _figure(ring, pattern, allowed)
     return (*blocks, lines_table("Checks with the reference ring.", lines))

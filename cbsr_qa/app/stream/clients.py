@@ -18,15 +18,15 @@ from cbsr_qa.app.stream.messages import AliveMessage, DroppedMessage, HeaderMess
 from cbsr_qa.domain.errors import DeliveryError, RefusedError
 from cbsr_qa.station.event_sinks import Delivery
 
-#: Messages that wait for a client at most; beyond it the oldest are dropped.
+#: Largest number of messages that wait for a client; beyond it the oldest are dropped.
 LARGEST_QUEUE: Final = 250
-#: Clients of one socket; further ones are turned away.
+#: Largest number of clients of one socket; further ones are turned away.
 MOST_CLIENTS: Final = 32
-#: How long the last messages are waited for [s].
+#: Time to wait for the last messages [s].
 END_S: Final = 2.0
-#: How long a client may not read before it is cut off [s].
+#: Time that a client may not read before it is cut off [s].
 _STUCK_S: Final = 30.0
-#: Small, so that what a slow client reads is not older than need be [bytes].
+#: Size of the send buffer [bytes]: small, so that a slow client does not read old messages.
 _BUFFER_BYTES: Final = 65536
 
 Tell = Callable[[str], None]
@@ -64,12 +64,15 @@ class _Lines:
         line = json_line(message)
         if isinstance(message, HeaderMessage | AliveMessage):
             return [line]
-        lost = 0 if self._before is None else message.sequence - self._before - 1
+        lost_count = 0 if self._before is None else message.sequence - self._before - 1
         self._before = message.sequence
-        if not lost:
+        if not lost_count:
             return [line]
-        self._dropped += lost
-        return [json_line(DroppedMessage("dropped", message.sequence, message.serial, lost, self._dropped)), line]
+        self._dropped += lost_count
+        return [
+            json_line(DroppedMessage("dropped", message.sequence, message.serial, lost_count, self._dropped)),
+            line,
+        ]
 
 
 class _Client:
@@ -103,9 +106,9 @@ class StandardOutput(_Client):
 
     def close(self) -> None:
         super().close()
-        lost = self._delivery.describe_loss()
-        if lost and not self.over:
-            self._tell(lost)
+        loss = self._delivery.describe_loss()
+        if loss and not self.over:
+            self._tell(loss)
 
     def _note_end(self, why: str) -> None:
         self.over = f"standard output: {why}"
@@ -132,8 +135,8 @@ class Server:
             listening = socket.create_server(address[:2], family=family)
         except OSError as error:
             raise _unusable(f"tcp://{host}:{port}", error, "name another port, or 0 for any that is free") from error
-        shown = f"[{host}]" if ":" in host else host
-        return cls(listening, f"tcp://{shown}:{listening.getsockname()[1]}", tell)
+        shown_host = f"[{host}]" if ":" in host else host
+        return cls(listening, f"tcp://{shown_host}:{listening.getsockname()[1]}", tell)
 
     @classmethod
     def unix(cls, path: Path, tell: Tell) -> Self:
@@ -153,9 +156,9 @@ class Server:
                 self._header = message
             for client in self._clients:
                 client.send(message)
-            for gone in [client for client in self._clients if client.over]:
-                self._clients.remove(gone)
-                gone.end()
+            for client_over in [client for client in self._clients if client.over]:
+                self._clients.remove(client_over)
+                client_over.end()
 
     def close(self) -> None:
         with self._lock:
@@ -202,13 +205,13 @@ def _remove_dead(path: Path) -> None:
     """Remove the socket that a killed process has left behind."""
     if not (path.exists() and stat.S_ISSOCK(path.stat().st_mode)):
         return
-    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as asked:
+    with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as probe:
         try:
-            asked.connect(os.fspath(path))
+            probe.connect(os.fspath(path))
         except ConnectionRefusedError:
             path.unlink()
 
 
 def _unusable(place: str, error: Exception, remedy: str) -> RefusedError:
-    why = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
-    return RefusedError(f"nothing can be served at {place}: {why}", remedy=remedy)
+    reason = error.strerror if isinstance(error, OSError) and error.strerror else str(error)
+    return RefusedError(f"nothing can be served at {place}: {reason}", remedy=remedy)

@@ -1,4 +1,4 @@
-"""What a stream tells of single frames, by a calibration of any kind."""
+"""Estimates that a stream sends of single frames, by a calibration of any kind."""
 
 from dataclasses import dataclass
 from pathlib import Path
@@ -16,7 +16,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 
 @dataclass(frozen=True, slots=True)
 class Estimate:
-    """What one frame tells; fields as of :class:`~cbsr_qa.app.stream.messages.FrameMessage`."""
+    """Estimate of one frame, with the fields of :class:`~cbsr_qa.app.stream.messages.FrameMessage`."""
 
     force_N: float | None
     force_68_N: Interval | None
@@ -54,34 +54,37 @@ def prepare_estimator(
             raise CalibrationError(f"{calibration} holds its sensor type", remedy="leave --sensor-type out")
         estimator.prepare()
         return estimator, estimator.sensor_type
-    given = load_sensor_type(sensor_type or estimator.identity.sensor_type).value
-    wanted = estimator.pattern
-    if wanted is None:
+    given_type = load_sensor_type(sensor_type or estimator.identity.sensor_type).value
+    calibrated_pattern = estimator.pattern
+    if calibrated_pattern is None:
         raise CalibrationError(f"{calibration} {estimator.lacks[Ability.FRAMES]}", remedy="calibrate again")
-    if (given.pattern.drive, given.pattern.measure) != (wanted.drive, wanted.measure):
+    if (given_type.pattern.drive, given_type.pattern.measure) != (
+        calibrated_pattern.drive,
+        calibrated_pattern.measure,
+    ):
         raise CalibrationError(
-            f"sensor type {given.name!r} has another pattern than the calibration {calibration}",
+            f"sensor type {given_type.name!r} has another pattern than the calibration {calibration}",
             remedy="give --sensor-type FILE, the sensor type that it was learned with",
         )
     estimator.prepare()
-    return estimator, given
+    return estimator, given_type
 
 
 def list_estimates(touches: Touches) -> list[Estimate]:
-    """Return what each of some frames tells. A place is told where something presses."""
+    """Return the estimate of each frame. An estimate has a place only where something presses."""
     return [_estimate_frame(touches, frame) for frame in range(len(touches))]
 
 
 def _estimate_frame(touches: Touches, frame: int) -> Estimate:
     place = (*touches.place_mm[frame].tolist(), float(touches.radius_68_mm[frame]))
-    placed = bool(touches.touch[frame] and touches.readable[frame] and np.isfinite(place).all())
-    x_mm, y_mm, radius_mm = place if placed else (None, None, None)
+    has_place = bool(touches.touch[frame] and touches.readable[frame] and np.isfinite(place).all())
+    x_mm, y_mm, radius_mm = place if has_place else (None, None, None)
     return Estimate(
         *read_value(touches.force, frame),
         x_mm,
         y_mm,
         radius_mm,
-        _read_number(touches.radius_95_mm, frame) if placed else None,
+        _read_number(touches.radius_95_mm, frame) if has_place else None,
         bool(touches.touch[frame]) if touches.readable[frame] else None,
         flag_names(int(touches.flags[frame])),
         _read_number(touches.settled_in_s, frame),
@@ -89,5 +92,5 @@ def _estimate_frame(touches: Touches, frame: int) -> Estimate:
 
 
 def _read_number(column: Array | None, frame: int) -> float | None:
-    """A number of one frame; None where the calibration or the frame does not tell it."""
+    """Return a number of one frame; None where the calibration or the frame does not have it."""
     return None if column is None or not np.isfinite(column[frame]) else float(column[frame])

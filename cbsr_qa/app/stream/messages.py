@@ -21,12 +21,12 @@ class HeaderMessage:
     kind : ``run`` if a run at a station issued it, ``presses`` if it was learned from labelled presses;
         another word for another way to calibrate.
     force : whether frames have a force; a calibration from presses without forces has places alone.
-    radius_mm : of the sheet, or of the disc of equal area.
+    radius_mm : radius of the sheet, or of the disc of equal area [mm].
     axes : what x and y are.
-    driver, source : of the instrument, and what it says of itself; ``simulated`` if it measures nothing real.
+    driver, source : driver of the instrument, and its own description; ``simulated`` if it measures nothing real.
     frame_period_s : time from one frame to the next.
     started : UTC.
-    remarks : what is done to readings, and what was not checked.
+    remarks : remarks on what is done to readings, and on what was not checked.
     """
 
     type: Literal["header"]
@@ -57,18 +57,18 @@ class FrameMessage:
 
     Parameters
     ----------
-    sequence : of the message; one more than that of the message before.
-    frame : of the frame, from 0.
+    sequence : number of the message; one more than that of the message before.
+    frame : number of the frame, from 0.
     time : UTC, of the middle of the frame.
     monotonic_s : the same on the monotonic clock of the computer that sends (CLOCK_MONOTONIC).
     force_N, force_68_N, force_95_N : force, and intervals that hold it with that probability; null without one.
     x_mm, y_mm : place of the press; null if nothing presses.
-    radius_68_mm, radius_95_mm : of circles about the place that hold it at least with that probability.
+    radius_68_mm, radius_95_mm : radii of circles about the place that hold it at least with that probability [mm].
     touch : whether something presses; null if the frame does not tell.
     flags : names of :class:`~cbsr_qa.calibration.force.inverse.Flag`, in lower case.
     settled_in_s : time until the force counts, 0 where it does; null where that is not known.
     missed : frame periods without a frame since the stream began.
-    latency_ms : from the end of the frame until this message was handed to those who send it.
+    latency_ms : time from the end of the frame until this message was handed to those who send it [ms].
     """
 
     type: Literal["frame"]
@@ -129,9 +129,9 @@ class EndMessage:
     ----------
     why : ``stopped`` on request, ``over`` if a recording has been played to its end, ``failed`` if the instrument or
         the program failed.
-    reason : in words.
+    reason : reason in words.
     frames, missed : sent, and frame periods without a frame.
-    exit_code : of the program.
+    exit_code : exit code of the program.
     """
 
     type: Literal["end"]
@@ -148,5 +148,5 @@ StreamMessage = HeaderMessage | FrameMessage | AliveMessage | DroppedMessage | I
 
 
 def json_line(message: StreamMessage) -> bytes:
-    """Return a message as one line of JSON. ValueError if a number in it is not finite."""
+    """Return a message as one line of JSON. Raise ValueError if a number in it is not finite."""
     return json.dumps(asdict(message), separators=(",", ":"), allow_nan=False).encode() + b"\n"

@@ -1,4 +1,4 @@
-"""Where the messages of a stream go: standard output, TCP, a Unix socket, an MQTT broker.
+"""Outlets of the messages of a stream: standard output, TCP, a Unix socket, an MQTT broker.
 
 None of them waits for another, or holds up the frames.
 """
@@ -23,7 +23,7 @@ from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.station.event_sinks import Delivery
 
-#: A second without a message is filled with one that says that the stream goes on.
+#: Time without a message after which one says that the stream goes on [s].
 _ALIVE_S: Final = 1.0
 _ALLOWED: Final = "give -, tcp://HOST:PORT, unix:PATH or mqtt://HOST[:PORT][/TOPIC]"
 
@@ -31,7 +31,7 @@ _ALLOWED: Final = "give -, tcp://HOST:PORT, unix:PATH or mqtt://HOST[:PORT][/TOP
 class Outlet(Protocol):
     """One ``--to``."""
 
-    #: Why nothing can be sent there any more; empty while it can.
+    #: Reason why nothing can be sent there any more; empty while it can.
     over: str
 
     def send(self, message: StreamMessage) -> None:
@@ -46,11 +46,11 @@ class Outlet(Protocol):
 class Outlets:
     """All outlets of a stream; a context manager.
 
-    RefusedError or ConfigError if one is malformed or cannot be used (a port that is taken, no broker).
+    Raise RefusedError or ConfigError if one is malformed or cannot be used (a port that is taken, no broker).
 
     Parameters
     ----------
-    places : where to, as of ``cbsr-qa stream --to``.
+    places : addresses to send to, as of ``cbsr-qa stream --to``.
     write : writes bytes to standard output; None without one.
     tell : called with addresses, and with what happens to clients.
     """
@@ -99,12 +99,12 @@ class Outlets:
     def _keep_alive(self) -> None:
         while not self._over.wait(_ALIVE_S / 4):
             with self._lock:
-                last, silent_s = self._last, time.monotonic() - self._sent_s
-                if last is None or silent_s < _ALIVE_S:
+                last_message, silent_s = self._last, time.monotonic() - self._sent_s
+                if last_message is None or silent_s < _ALIVE_S:
                     continue
                 self._sent_s = time.monotonic()
                 for outlet in self._outlets:
-                    outlet.send(AliveMessage("alive", last.sequence, last.serial))
+                    outlet.send(AliveMessage("alive", last_message.sequence, last_message.serial))
 
 
 def _outlet(place: str, plugins: Plugins, write: Callable[[bytes], None] | None, tell: Tell) -> Outlet:
@@ -167,6 +167,6 @@ class _Broker:
     def close(self) -> None:
         self._delivery.end()
         self._delivery.wait(END_S)
-        lost = self._delivery.describe_loss()
-        if lost:
-            self._tell(lost)
+        loss = self._delivery.describe_loss()
+        if loss:
+            self._tell(loss)

@@ -1,4 +1,4 @@
-"""Where the frames of a stream come from: an instrument opened by its driver alone, or that of a station."""
+"""Sources of the frames of a stream: an instrument opened by its driver alone, or that of a station."""
 
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
@@ -21,9 +21,9 @@ from cbsr_qa.station.control.lock import station_held
 from cbsr_qa.station.setup import check_clock, configure, open_instrument, opener, station_clock
 from cbsr_qa.system.clock import Clock, RealClock
 
-#: Simulated instruments want a material; those that measure something do not look at it.
+#: Material for simulated instruments; real ones do not use it.
 _MATERIAL: Final = "cbsr-8wt"
-#: A station is configured together with a recipe, of which a stream uses nothing.
+#: Recipe that a station is configured with; a stream does not use it.
 _RECIPE: Final = "golden-check"
 
 
@@ -33,7 +33,7 @@ class FramesFrom:
 
     Parameters
     ----------
-    driver, options : as in the instrument's table of a station file.
+    driver, options : driver and options as in the instrument's table of a station file.
     station : station file, or the name of a shipped one: its frame source is used, and what that works through.
     """
 
@@ -54,7 +54,8 @@ class OpenedSource:
     def frame(self) -> FrameBlock:
         """Take the next frame.
 
-        InstrumentError if the instrument fails, whatever its driver raises; NoMoreFramesError after the last one.
+        Raise InstrumentError if the instrument fails, whatever its driver raises, and NoMoreFramesError after the
+        last frame.
         """
         try:
             with blame_plugin(f"driver {self.spec.driver}"):
@@ -77,7 +78,7 @@ def open_source(
 
     Parameters
     ----------
-    sensor_type, head : of the calibration; None where it does not tell its head.
+    sensor_type, head : sensor type and head of the calibration; None where it does not tell its head.
     tell : called with what could not be made safe or closed.
 
     Raises
@@ -101,16 +102,16 @@ def open_source(
             specs, clock, opened = _prepare_station(frames.station, plugins, sensor_type, stack)
         mounted = []
         for spec in specs:
-            one = Mounted(spec, opened(spec))
-            mounted.append(one)
-            stack.callback(_close_instrument, one, tell)
+            instrument = Mounted(spec, opened(spec))
+            mounted.append(instrument)
+            stack.callback(_close_instrument, instrument, tell)
         yield _ready(mounted, clock)
 
 
 def _close_instrument(one: Mounted, tell: Callable[[str], None]) -> None:
     for action in (one.instrument.safe_state, one.instrument.close):
-        for words in stop_all([(one.name, action)]):
-            tell(f"{words}: switch its current off by hand")
+        for problem in stop_all([(one.name, action)]):
+            tell(f"{problem}: switch its current off by hand")
 
 
 _Opener = Callable[[InstrumentSpec], Instrument]
@@ -121,7 +122,7 @@ def _alone(
     driver: str, options: Mapping[str, Any], plugins: Plugins, sensor_type: SensorType, head: Indenter | None
 ) -> _Opened:
     clock = RealClock()
-    # Nothing presses here. What is simulated wants a head all the same: that of a station that states none.
+    # Nothing presses here, but simulated instruments need a head: take the one of a station that states none.
     indenter = IndenterTable().to_domain() if head is None else head
     if options.get("address") == "emulated":
         raise ConfigError(
@@ -139,38 +140,44 @@ def _alone(
 
 def _prepare_station(station: str, plugins: Plugins, sensor_type: SensorType, stack: ExitStack) -> _Opened:
     """Open no head and no load cell: whoever built the sensor in presses."""
-    here = configure(station, _RECIPE, sensor_type=None, material=None, seed=0, plugins=plugins)
-    _check_sensor_type(here.station.name, here.sensor_type, sensor_type)
-    stack.enter_context(station_held(here.station.name, who="", doing="streaming forces"))
-    if here.station.clock == "virtual":  # time passes as for whoever reads
-        here = replace(here, station=replace(here.station, clock_speed=here.station.clock_speed or 1.0))
-    clock = station_clock(here)
-    opened, after = opener(here, plugins, clock)
-    if after:
-        stack.callback(stop_all, after)
-    specs = here.station.instruments
+    configuration = configure(station, _RECIPE, sensor_type=None, material=None, seed=0, plugins=plugins)
+    _check_sensor_type(configuration.station.name, configuration.sensor_type, sensor_type)
+    stack.enter_context(station_held(configuration.station.name, who="", doing="streaming forces"))
+    if configuration.station.clock == "virtual":  # time passes as for whoever reads
+        configuration = replace(
+            configuration,
+            station=replace(configuration.station, clock_speed=configuration.station.clock_speed or 1.0),
+        )
+    clock = station_clock(configuration)
+    opened, callbacks = opener(configuration, plugins, clock)
+    if callbacks:
+        stack.callback(stop_all, callbacks)
+    specs = configuration.station.instruments
     source = next(spec for spec in specs if FRAME_SOURCE in spec.provides)
-    through = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
+    linked_specs = [spec for spec in specs if spec is not source and {SOURCE_METER, MULTIPLEXER} & set(spec.provides)]
 
     def open_checked(spec: InstrumentSpec) -> Instrument:
         instrument = opened(spec)
         if not isinstance(instrument, Linked):  # it is as real as those that it works through
-            check_clock(here, [identity_of(Mounted(spec, instrument))])
+            check_clock(configuration, [identity_of(Mounted(spec, instrument))])
         return instrument
 
-    return [*through, source], clock, open_checked
+    return [*linked_specs, source], clock, open_checked
 
 
 def _check_sensor_type(station: str, has: SensorType, calibrated: SensorType) -> None:
     """Refuse a station whose frames are not those of the calibrated sensor."""
-    own, wanted = has.pattern, calibrated.pattern
-    if has.name == calibrated.name and (own.drive, own.measure) == (wanted.drive, wanted.measure):
+    own_pattern, calibrated_pattern = has.pattern, calibrated.pattern
+    if has.name == calibrated.name and (own_pattern.drive, own_pattern.measure) == (
+        calibrated_pattern.drive,
+        calibrated_pattern.measure,
+    ):
         return
-    how = f"has sensor type {has.name!r}, the calibration is of a {calibrated.name!r}"
+    mismatch = f"has sensor type {has.name!r}, the calibration is of a {calibrated.name!r}"
     if has.name == calibrated.name:
-        how = f"drives or measures sensor type {has.name!r} in another pattern than the calibration"
+        mismatch = f"drives or measures sensor type {has.name!r} in another pattern than the calibration"
     raise ConfigError(
-        f"station {station!r} {how}",
+        f"station {station!r} {mismatch}",
         remedy="give the calibration of the sensor at this station, or set sensor_type in the station file",
     )
 

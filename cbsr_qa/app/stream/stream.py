@@ -30,7 +30,7 @@ _FIRST_PAUSE_S, _LONGEST_PAUSE_S = 0.5, 5.0
 #: Exit code of a stream that its instrument ended.
 _FAILED: Final = InstrumentError.exit_code
 
-#: Entered while the stream waits for a frame: what may break in then.
+#: Context that is entered while the stream waits for a frame: it decides what may interrupt the wait.
 Waiting = Callable[[], AbstractContextManager[Any]]
 
 
@@ -41,8 +41,8 @@ class StreamRequest:
     Parameters
     ----------
     reference : number of first frames that are of the unloaded sheet; None to use the calibration's.
-    sensor_type : of a calibration from presses, if its name is not that of a shipped one.
-    give_up_s : how long an instrument that failed may take until it delivers frames again [s].
+    sensor_type : sensor type of a calibration from presses, if its name is not that of a shipped one.
+    give_up_s : longest time that an instrument that failed may take until it delivers frames again [s].
     public_key : file with the key that must have signed the calibration; None: not checked.
     """
 
@@ -114,9 +114,9 @@ class _Stream:
                 f"{source.spec.driver} has {len(self._taken)} frames; {count} are needed before the stream begins",
                 remedy="give a smaller --reference, or a longer recording",
             ) from error
-        first = join_frames([taken.block for taken in self._taken])
+        first_frames = join_frames([batch.block for batch in self._taken])
         self._sequence_of_frames = self._estimator.follow(
-            source.spec.driver, first, UnloadedFrames(self._request.reference)
+            source.spec.driver, first_frames, UnloadedFrames(self._request.reference)
         )
         return fill_from_object(
             HeaderMessage,
@@ -168,9 +168,9 @@ class _Stream:
         if not self._taken:
             with self._waiting():
                 self._taken = [_Taken.take(self._source)]
-        taken, *self._taken = self._taken
-        for estimate in list_estimates(self._sequence_of_frames.estimate(taken.block)):
-            yield self._message(taken, estimate)
+        batch, *self._taken = self._taken
+        for estimate in list_estimates(self._sequence_of_frames.estimate(batch.block)):
+            yield self._message(batch, estimate)
 
     def _message(self, taken: "_Taken", estimate: Estimate) -> FrameMessage:
         period_s = float(self._source.instrument.frame_period_s)
@@ -205,9 +205,9 @@ class _Taken:
 
     Parameters
     ----------
-    time_s : of its middle, on the station's clock.
-    wall, monotonic_s : of its middle, on the computer's clocks.
-    ended_s : when it ended, on the monotonic clock.
+    time_s : middle of the frame on the station's clock [s].
+    wall, monotonic_s : middle of the frame on the computer's clocks.
+    ended_s : end of the frame on the monotonic clock [s].
     """
 
     block: FrameBlock

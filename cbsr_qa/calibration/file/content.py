@@ -39,7 +39,7 @@ INDEX: Final = "index"
 FLAG: Final = "flag"
 
 
-#: Entries, with the groups that they are in; a calibration of a run has some 200.
+#: Largest number of entries, with the groups that they are in; a calibration of a run has some 200.
 MOST_ENTRIES: Final = 2000
 
 
@@ -138,8 +138,8 @@ class Reading:
 
     def groups(self, path: str) -> tuple[str, ...]:
         """Return the names of the groups directly inside one, sorted."""
-        inside = (name.removeprefix(f"{path}/") for name in self._entries if name.startswith(f"{path}/"))
-        return tuple(sorted({name.split("/")[0] for name in inside if "/" in name}))
+        names_inside = (name.removeprefix(f"{path}/") for name in self._entries if name.startswith(f"{path}/"))
+        return tuple(sorted({name.split("/")[0] for name in names_inside if "/" in name}))
 
     def units(self, path: str) -> str:
         self._value(path)
@@ -219,11 +219,11 @@ def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> 
 
 
 def record_digest(entries: Mapping[str, Entry]) -> str:
-    """Return the same over the entries that are not recomputed."""
+    """Return the digest over the entries that are not recomputed."""
     if format_of(entries) == PRESS_FORMAT:
         return content_digest(entries)
-    kept = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}
-    return content_digest(kept, schema_version(entries))
+    recorded = {path: entry for path, entry in entries.items() if not path.startswith(PREPARED)}
+    return content_digest(recorded, schema_version(entries))
 
 
 def _canonical(value: Value) -> tuple[str, tuple[int, ...], bytes]:

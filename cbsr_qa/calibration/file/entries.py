@@ -1,4 +1,4 @@
-"""A calibration as entries of its file, and back; an entry that a later version added may be missing."""
+"""A calibration to entries of its file, and back. An entry that a later version added may be missing."""
 
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
@@ -97,7 +97,7 @@ def _press_calibration(entries: Mapping[str, Entry]) -> PressCalibration:
 
 
 def _frame_problems(calibration: PressCalibration) -> Iterator[str]:
-    """Say what is wrong with the order of a frame's readings, and with what is stated of each."""
+    """Describe errors in the order of a frame's readings, and in what is stated of each."""
     if not (calibration.drive and calibration.measure):
         yield "readings/drive or readings/measure is empty"
     readings = len(calibration.pairs)
@@ -132,7 +132,7 @@ def _place_problems(place: LearnedPlace, readings: int, stated: str) -> Iterator
 
 
 def _quantity_problem(quantity: LearnedQuantity) -> str:
-    """Say what makes force and depth impossible to compute; empty otherwise."""
+    """Return the reason why force and depth cannot be computed; empty if they can."""
     values, (low, high) = quantity.values, quantity.quantiles.tolist()
     if not (len(values) > 1 and np.ptp(values) > 0):
         return "values are all alike"
@@ -144,11 +144,13 @@ def _quantity_problem(quantity: LearnedQuantity) -> str:
 
 
 def _calibration(entries: Mapping[str, Entry]) -> Calibration:
-    why = Reading(entries).text(_WHY_NOT)
-    held = {
-        path: entry for path, entry in entries.items() if path != _WHY_NOT and not (why and path.startswith("force/"))
+    no_force_reason = Reading(entries).text(_WHY_NOT)
+    kept_entries = {
+        path: entry
+        for path, entry in entries.items()
+        if path != _WHY_NOT and not (no_force_reason and path.startswith("force/"))
     }
-    calibration: Calibration = _CODEC.read(Reading(held), Calibration, "", {"no_force": why})
+    calibration: Calibration = _CODEC.read(Reading(kept_entries), Calibration, "", {"no_force": no_force_reason})
     reconstruction = calibration.reconstruction
     if reconstruction.matrix.shape != reconstruction.problem.jacobian.T.shape:
         raise CalibrationError(
@@ -231,10 +233,10 @@ def _write_relaxations(out: Entries, group: str, relaxations: tuple[LoadRelaxati
 def _read_relaxations(read: Reading, group: str) -> tuple[LoadRelaxation, ...]:
     numbered: list[tuple[int, LoadRelaxation]] = []
     for signal in read.groups(group[:-1]):
-        at = f"{group}{signal}/"
-        above = {"signal": signal, "unit": read.units(f"{at}offset")}
-        members = _CODEC.read_list(read, LoadRelaxation, at, above)
-        numbered += zip(read.array(f"{at}number", np.int64).tolist(), members, strict=True)
+        group_path = f"{group}{signal}/"
+        above = {"signal": signal, "unit": read.units(f"{group_path}offset")}
+        members = _CODEC.read_list(read, LoadRelaxation, group_path, above)
+        numbered += zip(read.array(f"{group_path}number", np.int64).tolist(), members, strict=True)
     numbered.sort(key=lambda pair: pair[0])
     if [number for number, _ in numbered] != list(range(len(numbered))):
         raise CalibrationError("the numbers of the relaxations are not 0, 1, 2, … over all signals")
@@ -252,23 +254,25 @@ _CODEC: Final = Codec(_IRREGULAR)
 
 def _check_usable(calibration: Calibration) -> None:
     """Refuse a force model whose merging, reference, line, current or head is unusable."""
-    model, used = calibration.force, calibration.reconstruction.problem.used
+    model, used_readings = calibration.force, calibration.reconstruction.problem.used
     if model is None:
         return
     shape = calibration.sensor_type.pattern.shape
-    if calibration.reference.shape != shape or used.shape != shape:
+    if calibration.reference.shape != shape or used_readings.shape != shape:
         raise CalibrationError(
-            f"reference/voltages of {calibration.reference.shape} and reconstruction/used of {used.shape} are not"
-            f" those of {shape[0]} drive and {shape[1]} measure pairs"
+            f"reference/voltages of {calibration.reference.shape} and reconstruction/used of"
+            f" {used_readings.shape} are not those of {shape[0]} drive and {shape[1]} measure pairs"
         )
-    if model.merging.shape[1] != int(used.sum()):
-        raise CalibrationError(f"force/merging is for {model.merging.shape[1]} readings, {int(used.sum())} are used")
-    if not np.isfinite(calibration.reference[used]).all():
+    if model.merging.shape[1] != int(used_readings.sum()):
+        raise CalibrationError(
+            f"force/merging is for {model.merging.shape[1]} readings, {int(used_readings.sum())} are used"
+        )
+    if not np.isfinite(calibration.reference[used_readings]).all():
         raise CalibrationError("reference/voltages holds a used reading that is not a finite number")
     line, validity = calibration.against_stress, calibration.validity
-    known = (line.slope.stderr, line.intercept.stderr, line.covariance, *(validity.force_N or ()))
-    finite = (line.slope.value, line.intercept.value, validity.radius_mm, *(x for x in known if x is not None))
-    if not np.isfinite(finite).all() or line.slope.value == 0:
+    line_errors = (line.slope.stderr, line.intercept.stderr, line.covariance, *(validity.force_N or ()))
+    numbers = (line.slope.value, line.intercept.value, validity.radius_mm, *(x for x in line_errors if x is not None))
+    if not np.isfinite(numbers).all() or line.slope.value == 0:
         raise CalibrationError("quasi_static/against_stress or validity holds what no force can be worked out from")
     positive = (calibration.current_A, calibration.indenter.diameter_mm, calibration.indenter.squared_radius_mm2)
     if not all(np.isfinite(value) and value > 0 for value in positive):
@@ -276,8 +280,8 @@ def _check_usable(calibration: Calibration) -> None:
 
 
 def _force_problems(model: ForceModel) -> Iterator[str]:
-    there = model.node[model.node >= 0]
-    if (model.node < -1).any() or not np.array_equal(np.sort(there), np.arange(len(model.templates))):
+    nodes_on_sheet = model.node[model.node >= 0]
+    if (model.node < -1).any() or not np.array_equal(np.sort(nodes_on_sheet), np.arange(len(model.templates))):
         yield f"force/node does not name each of {len(model.templates)} templates once, and −1 elsewhere"
     if not model.fits.any():
         yield "force/fits allows a head nowhere"

@@ -1,4 +1,4 @@
-"""Any dataclass to entries and back, by the types of its fields and :class:`~cbsr_qa.domain.kept.Kept`."""
+"""Converts any dataclass to entries and back, by the types of its fields and :class:`~cbsr_qa.domain.kept.Kept`."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import is_dataclass
@@ -16,7 +16,7 @@ Pairs = tuple[tuple[int, int], ...]
 Points = tuple[tuple[float, float], ...]
 
 Entries = dict[str, Entry]
-#: How a type that is not one dataset per field is written and read: both get the path of its group.
+#: Functions that write and read a type that is not one dataset per field; both get the path of its group.
 Irregular = tuple[Callable[[Entries, str, Any], None], Callable[[Reading, str], Any]]
 
 _INTEGERS: Final = (int, int | None, Pairs, Indices)
@@ -38,40 +38,40 @@ class Codec:
     def write(self, out: Entries, value: Any, within: str, own: str = PURE) -> None:
         """Write a dataclass under the path of its group; ``own`` are the units of its fields."""
         for field in list_fields(type(value)):
-            held, group = getattr(value, field.name), group_of(field.hint)
+            content, group = getattr(value, field.name), group_of(field.hint)
             path, units = _place(field, within, own)
-            if field.kept.not_kept or field.is_left_out(held):
+            if field.kept.not_kept or field.is_left_out(content):
                 continue
             if field.hint in self._irregular:
-                self._irregular[field.hint][0](out, path, held)
+                self._irregular[field.hint][0](out, path, content)
             elif item_of(field.hint):
-                self.write_list(out, item_of(field.hint), held, path, units)
+                self.write_list(out, item_of(field.hint), content, path, units)
             elif group is None:
                 turned = field.kept.columns
                 out[path + COLUMNS if turned else path] = Entry(
-                    units, _encode_value(field, held.T if turned else held)
+                    units, _encode_value(field, content.T if turned else content)
                 )
-            elif held is not None:
-                self.write(out, held, path, units)
+            elif content is not None:
+                self.write(out, content, path, units)
 
     def write_list(self, out: Entries, of: Any, items: Sequence[Any], within: str, own: str = PURE) -> None:
         """Write dataclasses as a list for every field."""
         for field in list_fields(of):
             path, units = _place(field, within, own)
-            held, group = [getattr(item, field.name) for item in items], group_of(field.hint)
+            contents, group = [getattr(item, field.name) for item in items], group_of(field.hint)
             if group is not None:
-                self.write_list(out, group, held, path, units)
-            elif not (field.kept.not_kept or (held and all(map(field.is_left_out, held)))):
-                out[path] = Entry(units, _encode_value(field, held))
+                self.write_list(out, group, contents, path, units)
+            elif not (field.kept.not_kept or (contents and all(map(field.is_left_out, contents)))):
+                out[path] = Entry(units, _encode_value(field, contents))
 
     def read(self, read: Reading, of: Any, within: str, above: Mapping[str, Any] | None = None) -> Any:
         """Return a dataclass; ``above`` are the fields of the enclosing one."""
         values: dict[str, Any] = {}
         for field in list_fields(of):
             path, group = _place(field, within, PURE)[0], group_of(field.hint)
-            known = {**(above or {}), **values, **dict(field.kept.given)}
+            known_fields = {**(above or {}), **values, **dict(field.kept.given)}
             if field.kept.from_above:
-                values[field.name] = known[field.name]
+                values[field.name] = known_fields[field.name]
             elif field.kept.not_kept or (field.is_left_out(field.default) and not read.inside(path)):
                 continue
             elif field.hint in self._irregular:
@@ -81,7 +81,7 @@ class Codec:
             elif group is None:
                 values[field.name] = _value(read, field, path)
             elif group is field.hint or read.inside(path):
-                values[field.name] = self.read(read, group, path, known)
+                values[field.name] = self.read(read, group, path, known_fields)
         return of(**values)
 
     def read_list(self, read: Reading, of: Any, within: str, above: Mapping[str, Any]) -> Iterator[Any]:
@@ -100,23 +100,25 @@ class Codec:
 
 def item_of(hint: Any) -> Any:
     """Return the dataclass of a list field, or None."""
-    item, *others = getattr(hint, "__args__", (None,))
-    return item if others == [...] and is_dataclass(item) else None
+    item, *other_items = getattr(hint, "__args__", (None,))
+    return item if other_items == [...] and is_dataclass(item) else None
 
 
 def problems(value: Any, within: str) -> Iterator[str]:
     """Describe invalid numbers of a dataclass, by the limits and axes of its fields."""
     lengths: dict[str, int] = {}
     for field in list_fields(type(value)):
-        held, path = getattr(value, field.name), _place(field, within, PURE)[0]
-        if is_dataclass(held) and not field.kept.not_kept:
-            yield from problems(held, path)
-            lengths |= {part.name: getattr(held, part.name) for part in list_fields(type(held)) if part.hint is int}
-        elif held is not None and not field.kept.not_kept:
+        content, path = getattr(value, field.name), _place(field, within, PURE)[0]
+        if is_dataclass(content) and not field.kept.not_kept:
+            yield from problems(content, path)
+            lengths |= {
+                part.name: getattr(content, part.name) for part in list_fields(type(content)) if part.hint is int
+            }
+        elif content is not None and not field.kept.not_kept:
             if field.kept.limited:
-                yield from _beyond(field.kept, path, np.asarray(held))
+                yield from _beyond(field.kept, path, np.asarray(content))
             if field.kept.dims:
-                yield from _misshapen(field, path, np.shape(held), lengths)
+                yield from _misshapen(field, path, np.shape(content), lengths)
 
 
 def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
@@ -124,8 +126,8 @@ def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
     if not np.isfinite(values).all():
         yield f"{path} holds a value that is not a finite number"
     elif least and most and not (least <= values.min(initial=most) and values.max(initial=least) <= most):
-        found = f"{values.item()}" if values.size == 1 else f"{values.min():.3g} to {values.max():.3g}"
-        yield f"{path} is {found}; {least:g} to {most:g} are allowed"
+        found_range = f"{values.item()}" if values.size == 1 else f"{values.min():.3g} to {values.max():.3g}"
+        yield f"{path} is {found_range}; {least:g} to {most:g} are allowed"
     elif most is not None and (np.abs(values) > most).any():
         yield f"{path} holds {np.abs(values).max():.3g}; {most:g} is allowed"
     elif least is not None and (values < least).any():
@@ -163,8 +165,8 @@ def _encode_value(field: KeptField, held: Any) -> Value:
     if field.hint in (bool, Mask):
         return np.array(held, dtype=np.bool_)
     if field.hint in _INTEGERS:
-        absent = [-1 if number is None else number for number in held] if isinstance(held, list) else held
-        return np.array(absent, dtype=np.int64)
+        numbers = [-1 if number is None else number for number in held] if isinstance(held, list) else held
+        return np.array(numbers, dtype=np.int64)
     if field.hint == tuple[float, ...]:
         held = _pad_rows(held)
     elif held is None and field.hint != float | None:

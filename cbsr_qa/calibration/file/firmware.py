@@ -74,14 +74,18 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
     """
     if (np.count_nonzero(_model(calibration).merging, axis=0) != 1).any():
         raise CalibrationError("its merging gives a reading to several rows, which firmware does not expect")
-    chosen, thin, loss = _choose_stride(calibration, stride)
-    held = encode(replace(calibration, force=thin))
-    kept = {path: held[path] for path in sorted(held) if path.startswith(_KEPT) and not path.startswith(_LEFT_OUT)}
-    row = np.abs(thin.merging).argmax(axis=0)
-    kept["force/merging_row"] = Entry("index", row.astype(np.int64))
-    kept["force/merging_weight"] = Entry("1/V", thin.merging[row, np.arange(len(row))])
-    everything = {path: dataset(entry, spelt_out=2**31) for path, entry in sorted(kept.items())}
-    everything["force/templates"] = _quantise(thin.templates)
+    chosen_stride, thinned_model, loss = _choose_stride(calibration, stride)
+    entry_by_path = encode(replace(calibration, force=thinned_model))
+    firmware_entries = {
+        path: entry_by_path[path]
+        for path in sorted(entry_by_path)
+        if path.startswith(_KEPT) and not path.startswith(_LEFT_OUT)
+    }
+    row = np.abs(thinned_model.merging).argmax(axis=0)
+    firmware_entries["force/merging_row"] = Entry("index", row.astype(np.int64))
+    firmware_entries["force/merging_weight"] = Entry("1/V", thinned_model.merging[row, np.arange(len(row))])
+    datasets = {path: dataset(entry, spelt_out=2**31) for path, entry in sorted(firmware_entries.items())}
+    datasets["force/templates"] = _quantise(thinned_model.templates)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -89,26 +93,28 @@ def firmware_document(calibration: Calibration, *, stride: int | None = None) ->
         "digest": calibration.digest,
         "formula": FORMULA,
         "flags": {flag.name: flag.value for flag in Flag},
-        "lattice_stride": chosen,
+        "lattice_stride": chosen_stride,
         "loss": asdict(loss),
-        "datasets": everything,
+        "datasets": datasets,
     }
 
 
 def thin_model(model: ForceModel, stride: int) -> ForceModel:
     """Return a model on every ``stride``-th node about the lattice's middle, with templates in 16 bits."""
     lattice = model.lattice
-    first = [(count // 2) % stride for count in (lattice.columns, lattice.rows)]
-    part = model.node[first[1] :: stride, first[0] :: stride]
-    kept = part[part >= 0]
-    steps = np.round(model.templates[kept] * _STEPS) / _STEPS
-    x_mm, y_mm = (at + k * lattice.spacing_mm for at, k in zip(lattice.origin_mm, first, strict=True))
+    first_node = [(count // 2) % stride for count in (lattice.columns, lattice.rows)]
+    coarse_node = model.node[first_node[1] :: stride, first_node[0] :: stride]
+    kept_nodes = coarse_node[coarse_node >= 0]
+    quantised = np.round(model.templates[kept_nodes] * _STEPS) / _STEPS
+    x_mm, y_mm = (
+        origin_mm + k * lattice.spacing_mm for origin_mm, k in zip(lattice.origin_mm, first_node, strict=True)
+    )
     of_nodes = (field.name for field in list_fields(ForceModel) if field.kept.dims.startswith("nodes"))
     return replace(
         model,
-        lattice=Lattice((x_mm, y_mm), stride * lattice.spacing_mm, part.shape[1], part.shape[0]),
-        node=np.where(part >= 0, np.cumsum(part >= 0).reshape(part.shape) - 1, -1),
-        **{name: getattr(model, name)[kept] for name in of_nodes} | {"templates": steps},
+        lattice=Lattice((x_mm, y_mm), stride * lattice.spacing_mm, coarse_node.shape[1], coarse_node.shape[0]),
+        node=np.where(coarse_node >= 0, np.cumsum(coarse_node >= 0).reshape(coarse_node.shape) - 1, -1),
+        **{name: getattr(model, name)[kept_nodes] for name in of_nodes} | {"templates": quantised},
         loading=None,
         unloading=None,
     )
@@ -128,12 +134,12 @@ def measure_loss(calibration: Calibration, thin: ForceModel) -> Loss:
         return ForceInverse(of, line, area_mm2, map_tables(of)).force(matches)[0]
 
     true, coarse = force(model, fine.match_at(rows, places)), force(thin, TemplateFilter(thin).match_at(rows, places))
-    there = np.isfinite(coarse)
-    error = coarse[there] / true[there] - 1
-    lost = int(np.count_nonzero(~there))
-    if not there.any():
-        return Loss(len(places), lost, 1.0, 1.0)
-    return Loss(len(places), lost, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
+    finite_mask = np.isfinite(coarse)
+    error = coarse[finite_mask] / true[finite_mask] - 1
+    lost_count = int(np.count_nonzero(~finite_mask))
+    if not finite_mask.any():
+        return Loss(len(places), lost_count, 1.0, 1.0)
+    return Loss(len(places), lost_count, float(np.sqrt(np.mean(error**2))), float(np.abs(error).max()))
 
 
 def _model(calibration: Calibration) -> ForceModel:
@@ -144,41 +150,41 @@ def _model(calibration: Calibration) -> ForceModel:
 
 def _choose_stride(calibration: Calibration, stride: int | None) -> tuple[int, ForceModel, Loss]:
     model = _model(calibration)
-    for each in _STRIDES if stride is None else (stride,):
-        if each < 1 or min(model.lattice.columns, model.lattice.rows) // each < 4:
-            most = min(model.node.shape) // 4
-            raise CalibrationError(f"a stride of {each} leaves no lattice; 1 to {most} are allowed")
-        thin = thin_model(model, each)
-        if not (thin.node >= 0).any():
+    for candidate in _STRIDES if stride is None else (stride,):
+        if candidate < 1 or min(model.lattice.columns, model.lattice.rows) // candidate < 4:
+            largest_stride = min(model.node.shape) // 4
+            raise CalibrationError(f"a stride of {candidate} leaves no lattice; 1 to {largest_stride} are allowed")
+        thinned_model = thin_model(model, candidate)
+        if not (thinned_model.node >= 0).any():
             continue
-        loss = measure_loss(calibration, thin)
+        loss = measure_loss(calibration, thinned_model)
         if stride is not None or (loss.places_lost == 0 and loss.relative_force_error_worst <= _WORST):
-            return each, thin, loss
+            return candidate, thinned_model, loss
     if stride is not None:
         raise CalibrationError(f"a stride of {stride} leaves no place on the sheet")
-    thin = thin_model(model, 1)
-    return 1, thin, measure_loss(calibration, thin)
+    thinned_model = thin_model(model, 1)
+    return 1, thinned_model, measure_loss(calibration, thinned_model)
 
 
 def _find_calibrated_places(calibration: Calibration, model: ForceModel, fine: TemplateFilter) -> Array:
-    everywhere = model.lattice.places_mm()
+    lattice_mm = model.lattice.places_mm()
     node = model.node.ravel()
     fits = np.where(node >= 0, model.fits[node], False)
-    near = np.hypot(*everywhere.T) <= calibration.validity.radius_mm
+    near_mask = np.hypot(*lattice_mm.T) <= calibration.validity.radius_mm
     # Between nodes, where interpolation is worst.
-    places = everywhere[fits & near] + model.lattice.spacing_mm / 2
-    reached = places[np.isfinite(fine.template(places)).all(axis=1)]
-    if not len(reached):
+    places = lattice_mm[fits & near_mask] + model.lattice.spacing_mm / 2
+    reached_mm = places[np.isfinite(fine.template(places)).all(axis=1)]
+    if not len(reached_mm):
         raise CalibrationError("no calibrated place lies on its lattice")
-    return np.asarray(reached, dtype=np.float64)
+    return np.asarray(reached_mm, dtype=np.float64)
 
 
 def _quantise(templates: Array) -> dict[str, Any]:
-    steps = np.round(templates * _STEPS).astype(np.int64)
+    quantised = np.round(templates * _STEPS).astype(np.int64)
     return {
         "units": "1",
         "kind": "i2",
-        "shape": list(steps.shape),
+        "shape": list(quantised.shape),
         "scale": 1 / _STEPS,
-        "values": steps.ravel().tolist(),
+        "values": quantised.ravel().tolist(),
     }

@@ -50,9 +50,9 @@ from cbsr_qa.system.untrusted import read_untrusted
 _Kind = TypeVar("_Kind", bound=Issued)
 _Result = TypeVar("_Result")
 
-#: More than in any calibration file.
+#: Largest size of a file: more than that of any calibration file.
 _LARGEST_BYTES: Final = 2**28
-#: Of processor time for each megabyte; one of a run takes 0.1 s.
+#: Processor time for each megabyte [s]; the file of a run takes 0.1 s.
 _SECONDS_PER_MB: Final = 0.25
 _DIGEST: Final = re.compile("[0-9a-f]{64}")
 #: Arrays from this size on are compressed; for smaller ones a chunk costs more than it saves.
@@ -85,8 +85,8 @@ def sign_calibration(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind
     CalibrationError if its content was changed since it was issued.
     """
     entries = _as_issued(calibration)
-    held = with_signature(calibration, key, at)
-    return replace(held, file=_whole_file(entries, held.digest, held.signature))
+    signed = with_signature(calibration, key, at)
+    return replace(signed, file=_whole_file(entries, signed.digest, signed.signature))
 
 
 def write_calibration(path: Path, calibration: Issued) -> str:
@@ -165,12 +165,12 @@ def calibration_of(data: bytes, *, issued: str = "") -> Calibration:
 
     CalibrationError as for :func:`read_calibration`, and if its digest differs from the issued one.
     """
-    held = _decode_file(data)
-    if issued and held.digest != issued:
+    content = _decode_file(data)
+    if issued and content.digest != issued:
         raise CalibrationError(
-            f"its file holds another calibration: its SHA-256 is {held.digest}, {issued} was issued"
+            f"its file holds another calibration: its SHA-256 is {content.digest}, {issued} was issued"
         )
-    return require_run_calibration(held)
+    return require_run_calibration(content)
 
 
 def _decode_file(data: bytes) -> Issued:
@@ -243,30 +243,30 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
             format_, version = _version(file)
-            held = members(file, len(data), MOST_ENTRIES)
-            entries = {path: _entry(path, item) for path, item in held if isinstance(item, h5py.Dataset)}
-            stated = _read_stated_digest(file)
-            parts = {name: attribute(file, name) for name in SIGNATURE if name in file.attrs}
+            items = members(file, len(data), MOST_ENTRIES)
+            entries = {path: _entry(path, item) for path, item in items if isinstance(item, h5py.Dataset)}
+            stated_digest = _read_stated_digest(file)
+            signature_parts = {name: attribute(file, name) for name in SIGNATURE if name in file.attrs}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
     digest = content_digest(entries, version)
-    if digest != stated or format_ != format_of(entries):
+    if digest != stated_digest or format_ != format_of(entries):
         raise CalibrationError(
             f"the content was changed after it was issued: its SHA-256 is {digest},"
-            f" the file states {stated or 'no SHA-256'}",
+            f" the file states {stated_digest or 'no SHA-256'}",
             remedy="use the file as it was issued; a sensor's values are changed by calibrating it again",
         )
     if version != schema_version(entries):
         raise CalibrationError(
             f"written to schema version {version}, but what it holds is that of version {schema_version(entries)}"
         )
-    return entries, digest, checked, read_signature(parts)
+    return entries, digest, checked, read_signature(signature_parts)
 
 
 def _block(image: bytes) -> bytes:
     """Return the user block before the HDF5 file: a digest of its bytes."""
-    stated = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
-    return (BLOCK_BEGINS + stated.encode()).ljust(_BLOCK_BYTES, b"\0")
+    digest_line = f"SHA-256 of what follows them: {hashlib.sha256(image).hexdigest()}\n"
+    return (BLOCK_BEGINS + digest_line.encode()).ljust(_BLOCK_BYTES, b"\0")
 
 
 def _check_bytes(data: bytes) -> bool:
@@ -311,24 +311,24 @@ def printable(text: str) -> str:
 
 def _read_stated_digest(file: h5py.File) -> str:
     """Return the digest stated in a file; empty if it is not one."""
-    stated = attribute(file, "digest")
-    return stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
+    digest = attribute(file, "digest")
+    return digest if isinstance(digest, str) and _DIGEST.fullmatch(digest) else ""
 
 
 def _version(file: h5py.File) -> tuple[str, int]:
-    stated = attribute(file, "format")
-    if not (isinstance(stated, str) and stated in (FORMAT, PRESS_FORMAT)):
+    stated_format = attribute(file, "format")
+    if not (isinstance(stated_format, str) and stated_format in (FORMAT, PRESS_FORMAT)):
         raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
     version = attribute(file, "schema_version")
     if not isinstance(version, np.integer):
         raise CalibrationError("the schema version is missing or no whole number")
-    if version > latest_version(stated):
+    if version > latest_version(stated_format):
         raise CalibrationError(
-            f"written to schema version {version}; this program knows versions up to {latest_version(stated)}",
+            f"written to schema version {version}; this program knows versions up to {latest_version(stated_format)}",
             remedy="update cbsr-qa",
         )
-    check_released(stated, int(version))
-    return stated, int(version)
+    check_released(stated_format, int(version))
+    return stated_format, int(version)
 
 
 def _entry(path: str, dataset: h5py.Dataset) -> Entry:

@@ -8,15 +8,15 @@ import h5py
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.system.untrusted import largest_content
 
-#: More than in any of our files.
+#: Largest number of groups and datasets: more than in any of our files.
 MOST_NAMES: Final = 10_000
-#: Groups that a dataset is within.
+#: Largest number of groups that enclose a dataset.
 DEEPEST: Final = 4
 _MOST_ATTRIBUTES: Final = 100
 _LARGEST_ATTRIBUTE: Final = 2**16
-#: In all datasets together.
+#: Largest number of texts in all datasets together.
 _MOST_TEXTS: Final = 100_000
-#: Most characters of all texts in one dataset.
+#: Largest number of characters of all texts in one dataset.
 _MOST_CHARACTERS: Final = 2**24
 _TEXTS_AT_ONCE: Final = 32
 #: gzip, byte shuffle and checksum; HDF5 would load a library for any other filter.
@@ -30,8 +30,8 @@ def members(
 
     Parameters
     ----------
-    size_bytes : of the file; limits all datasets by the usual compression.
-    most_names : of groups and datasets; opening each takes a fraction of a millisecond.
+    size_bytes : size of the file; it limits all datasets by the usual compression.
+    most_names : largest number of groups and datasets; opening each takes a fraction of a millisecond.
 
     Raises
     ------
@@ -82,13 +82,13 @@ class _Walk:
             raise RefusedError(
                 f"more than {_MOST_TEXTS} texts up to {path}: no such file of this program has so many"
             )
-        held = _count_unpacked_bytes(dataset)
-        if dataset.size is None or held > self._left:
+        unpacked_bytes = _count_unpacked_bytes(dataset)
+        if dataset.size is None or unpacked_bytes > self._left:
             raise RefusedError(
                 f"{path} of the shape {dataset.shape} is empty or too large: all datasets of a file of this size"
                 f" may hold {self._all / 2**20:.0f} MiB together"
             )
-        self._left -= held
+        self._left -= unpacked_bytes
         if not text and dataset.dtype.kind not in "iufcb":
             raise RefusedError(f"{path} is of the type {dataset.dtype}, which is neither number nor text")
         packing = dataset.id.get_create_plist()
@@ -108,9 +108,13 @@ def attribute(item: h5py.Group | h5py.Dataset, name: str) -> Any:
     """Return an attribute that is a single number or UTF-8 text; None otherwise."""
     if name not in item.attrs:
         return None
-    about = item.attrs.get_id(name)
-    text = h5py.check_string_dtype(about.dtype) is not None
-    if about.shape != () or about.dtype.itemsize > _LARGEST_ATTRIBUTE or not (text or about.dtype.kind in "iufb"):
+    identifier = item.attrs.get_id(name)
+    text = h5py.check_string_dtype(identifier.dtype) is not None
+    if (
+        identifier.shape != ()
+        or identifier.dtype.itemsize > _LARGEST_ATTRIBUTE
+        or not (text or identifier.dtype.kind in "iufb")
+    ):
         return None
     value = item.attrs[name]
     if isinstance(value, str) and any("\ud800" <= character <= "\udfff" for character in value):
@@ -133,17 +137,17 @@ def texts(path: str, dataset: h5py.Dataset) -> str | tuple[str, ...]:
 
     RefusedError if they have more characters than in any of our files.
     """
-    held = dataset.asstr()
+    stored_texts = dataset.asstr()
     if not dataset.ndim:
-        return str(held[()])
-    read: list[str] = []
-    left = _MOST_CHARACTERS
+        return str(stored_texts[()])
+    texts_read: list[str] = []
+    characters_left = _MOST_CHARACTERS
     for first in range(0, dataset.size, _TEXTS_AT_ONCE):
-        some = [str(text) for text in held[first : first + _TEXTS_AT_ONCE]]
-        left -= sum(map(len, some))
-        if left < 0:
+        batch = [str(text) for text in stored_texts[first : first + _TEXTS_AT_ONCE]]
+        characters_left -= sum(map(len, batch))
+        if characters_left < 0:
             raise RefusedError(
                 f"{path} holds more than {_MOST_CHARACTERS} characters: no such file of this program has so many"
             )
-        read += some
-    return tuple(read)
+        texts_read += batch
+    return tuple(texts_read)

@@ -1,4 +1,4 @@
-"""A calibration as JSON and back, without loss, for users without HDF5.
+"""Conversion of a calibration to JSON and back, without loss, for users without HDF5.
 
 One object with ``format``, ``schema_version``, ``digest`` and ``datasets``: for each path in the HDF5 file its
 ``units``, ``kind`` (``f8``, ``f4``, ``i8``, ``u1`` or ``text``), ``shape`` and ``values``, flat in C order, or for
@@ -42,17 +42,17 @@ from cbsr_qa.domain.results.calibration import VerifiedFile
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.system.json_text import parse_json
 
-#: Of a document; a file with any other is not what was written.
+#: Keys of a document; a file with any other key is not what was written.
 _KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
 _DATASET_KEYS: Final = frozenset({"units", "kind", "shape"})
-#: numpy has no more.
+#: Largest number of dimensions of an array: numpy has no more.
 _MOST_AXES: Final = 32
 _LONGEST_QUOTE: Final = 60
 _AS_WRITTEN: Final = "use the file as it was written"
-#: Arrays of more values are written as bytes.
+#: Largest number of values that are written as text; larger arrays are written as bytes.
 _SPELT_OUT: Final = 256
-#: Lists, objects and their items; each takes some hundred bytes of memory when parsed. Of a run, a calibration has
-#: five thousand, and one of 20 000 presses whose labels were left out some sixty thousand.
+#: Largest number of lists, objects and their items; each takes some hundred bytes of memory when parsed. Of a run, a
+#: calibration has five thousand, and one of 20 000 presses whose labels were left out some sixty thousand.
 _MOST_VALUES: Final = 250_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 
@@ -76,10 +76,10 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
     if isinstance(entry.value, tuple):
         return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
     kind, values = _kind(entry.value), entry.value
-    stated = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
+    described = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
     if values.size > spelt_out or np.isinf(values).any():  # JSON has no infinity
-        return {**stated, "base64": base64.b64encode(_bytes(values, kind)).decode()}
-    return {**stated, "values": [_number(value) for value in values.ravel().tolist()]}
+        return {**described, "base64": base64.b64encode(_bytes(values, kind)).decode()}
+    return {**described, "values": [_number(value) for value in values.ravel().tolist()]}
 
 
 def read_json_calibration(path: Path) -> Issued:
@@ -123,18 +123,20 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
     if unknown := document.keys() - _KEYS:
         raise CalibrationError(f"no calibration has the key {min(unknown)!r}", remedy=_AS_WRITTEN)
     version = document.get("schema_version")
-    first, latest = FIRST_VERSION[format_], latest_version(format_)
+    first_version, latest = FIRST_VERSION[format_], latest_version(format_)
     if type(version) is int:
         check_released(format_, version)
     if type(version) is not int or version > latest:
-        known = f"version {first}" if first == latest else f"versions {first} to {latest}"
+        known_versions = (
+            f"version {first_version}" if first_version == latest else f"versions {first_version} to {latest}"
+        )
         raise CalibrationError(
-            f"schema_version is {_quote(version)}; this program knows {known}",
+            f"schema_version is {_quote(version)}; this program knows {known_versions}",
             remedy="update cbsr-qa, if a later one wrote the file",
         )
     if len(document["datasets"]) > MOST_ENTRIES:
         raise CalibrationError(f"more than {MOST_ENTRIES} datasets: no calibration has so many")
-    entries = {name: _entry(name, stated) for name, stated in document["datasets"].items()}
+    entries = {name: _entry(name, content) for name, content in document["datasets"].items()}
     digest = content_digest(entries, version)
     if digest != document.get("digest") or format_ != format_of(entries) or version != schema_version(entries):
         raise CalibrationError(
@@ -147,10 +149,10 @@ def _read(path: Path) -> tuple[dict[str, Entry], str, Signature | None]:
 def _signature(document: dict[str, Any]) -> Signature | None:
     if "signature" not in document:
         return None
-    stated = document["signature"]
-    if not isinstance(stated, dict) or set(stated) - set(SIGNATURE) or not stated:
+    parts = document["signature"]
+    if not isinstance(parts, dict) or set(parts) - set(SIGNATURE) or not parts:
         raise CalibrationError("its signature is damaged: it has other parts than a signature", remedy=_AS_WRITTEN)
-    return read_signature(stated)
+    return read_signature(parts)
 
 
 def _document(path: Path) -> dict[str, Any]:
@@ -170,8 +172,8 @@ def _entry(path: str, stated: object) -> Entry:
         raise CalibrationError(f"{path[:_LONGEST_QUOTE]!r} is not a name of a dataset", remedy=_AS_WRITTEN)
     if not isinstance(stated, dict):
         raise CalibrationError(f"{path} is {_quote(stated)}, not a dataset")
-    held = {"values", "base64"} & stated.keys()
-    if len(held) != 1 or stated.keys() - held != _DATASET_KEYS:
+    value_keys = {"values", "base64"} & stated.keys()
+    if len(value_keys) != 1 or stated.keys() - value_keys != _DATASET_KEYS:
         keys = ", ".join(sorted(stated)) or "none"
         raise CalibrationError(
             f"{path} is not a dataset: it has the keys {keys}; kind, shape, units and either values or base64 are"
@@ -182,8 +184,8 @@ def _entry(path: str, stated: object) -> Entry:
     _require(
         isinstance(kind, str) and (kind in _KINDS or kind == TEXT), path, "kind", kind, ", ".join([*_KINDS, TEXT])
     )
-    whole = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
-    _require(whole and len(shape) <= _MOST_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
+    is_shape = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
+    _require(is_shape and len(shape) <= _MOST_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
     try:
         f"{path}{units}".encode()  # JSON can encode lone surrogates, which are not text
         return Entry(units, _texts(path, stated, shape) if kind == TEXT else _array(path, stated, kind, shape))
@@ -200,8 +202,8 @@ def _quote(value: object) -> str:
     """Return what a value of JSON is, as JSON writes it or in words."""
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
-    shown = json.dumps(value)
-    return shown if len(shown) <= _LONGEST_QUOTE else f"{shown[:_LONGEST_QUOTE]}…"
+    text = json.dumps(value)
+    return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}…"
 
 
 def _texts(path: str, stated: dict[str, Any], shape: list[int]) -> Value:
@@ -218,26 +220,26 @@ def _values(path: str, stated: dict[str, Any], kinds: tuple[type, ...], what: st
     _require(isinstance(values, list), path, "values" if "values" in stated else "base64", values, "a list of values")
     assert isinstance(values, list)
     if not {type(value) for value in values} <= set(kinds):
-        number, wrong = next((n, value) for n, value in enumerate(values) if type(value) not in kinds)
-        _require(False, path, f"values[{number}]", wrong, what)
+        number, wrong_value = next((n, value) for n, value in enumerate(values) if type(value) not in kinds)
+        _require(False, path, f"values[{number}]", wrong_value, what)
     return values
 
 
 def _array(path: str, stated: dict[str, Any], kind: str, shape: list[int]) -> NDArray[Any]:
-    whole = kind in ("i8", "u1")
+    is_whole = kind in ("i8", "u1")
     if "base64" in stated:
         _require(isinstance(stated["base64"], str), path, "base64", stated["base64"], "a text")
-        held = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{kind}")
-    elif whole:
-        held = np.array(_values(path, stated, (int,), "a whole number"), dtype=np.int64)
+        array = np.frombuffer(base64.b64decode(stated["base64"], validate=True), dtype=f"<{kind}")
+    elif is_whole:
+        array = np.array(_values(path, stated, (int,), "a whole number"), dtype=np.int64)
     else:
         numbers = _values(path, stated, (int, float, type(None)), "a number or null")
-        held = np.array([np.nan if value is None else value for value in numbers], dtype=np.float64)
-    if kind == "u1" and held.size and not 0 <= held.min() <= held.max() <= 1:
-        wrong = int(held[(held < 0) | (held > 1)][0])
-        _require(False, path, "values", wrong, "0 and 1")
-    _require(math.prod(shape) == held.size, path, "shape", shape, f"one of {held.size} values")
-    return held.astype(_KINDS[kind]).reshape(shape)
+        array = np.array([np.nan if value is None else value for value in numbers], dtype=np.float64)
+    if kind == "u1" and array.size and not 0 <= array.min() <= array.max() <= 1:
+        wrong_value = int(array[(array < 0) | (array > 1)][0])
+        _require(False, path, "values", wrong_value, "0 and 1")
+    _require(math.prod(shape) == array.size, path, "shape", shape, f"one of {array.size} values")
+    return array.astype(_KINDS[kind]).reshape(shape)
 
 
 def _kind(values: NDArray[Any]) -> str:

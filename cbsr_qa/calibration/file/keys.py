@@ -50,10 +50,10 @@ class SigningKey:
 
 def passphrase(environment: Mapping[str, str] = os.environ) -> bytes | None:
     """Return the configured passphrase, or None. ConfigError if it is empty or too long, or its file unreadable."""
-    said = secret_of(PASSPHRASE, remedy=_REMEDY, environment=environment)
-    if said is None:
+    phrase = secret_of(PASSPHRASE, remedy=_REMEDY, environment=environment)
+    if phrase is None:
         return None
-    secret = said.encode("utf-8", "surrogateescape")
+    secret = phrase.encode("utf-8", "surrogateescape")
     if not 1 <= len(secret) <= _LONGEST_BYTES:
         raise ConfigError(
             f"the passphrase in {PASSPHRASE} has {len(secret)} bytes; 1 to {_LONGEST_BYTES} are allowed",
@@ -97,10 +97,10 @@ def _write_new(path: Path, data: bytes, mode: int) -> None:
                 f"{path} exists already; a key is never replaced", remedy="name another file, or move it away first"
             ) from None
         try:
-            with os.fdopen(file, "wb") as held:
-                held.write(data)
-                held.flush()
-                os.fsync(held.fileno())
+            with os.fdopen(file, "wb") as stream:
+                stream.write(data)
+                stream.flush()
+                os.fsync(stream.fileno())
         except OSError:
             with suppress(OSError):
                 path.unlink()
@@ -174,5 +174,5 @@ def _unreadable(path: Path, which: str) -> ConfigError:
 
 
 def _another_type(path: Path, key: object) -> ConfigError:
-    found = type(key).__name__.lstrip("_").removesuffix("PrivateKey").removesuffix("PublicKey")
-    return ConfigError(f"key {path}: of the type {found}; calibrations are signed with Ed25519", remedy=_MAKE)
+    key_type = type(key).__name__.lstrip("_").removesuffix("PrivateKey").removesuffix("PublicKey")
+    return ConfigError(f"key {path}: of the type {key_type}; calibrations are signed with Ed25519", remedy=_MAKE)

@@ -1,9 +1,9 @@
 """Signatures of calibrations: what is signed, how a file states it, and what is checked.
 
-Signed are the UTF-8 bytes of four lines, each ended by NEWLINE: ``cbsr-qa calibration signature``, the ``digest`` of
-the content, the time of signing and the public key. The digest covers every value that is read from a file with its
-path, unit, kind and shape, and is the same in HDF5 and JSON. So a signature does not cover bytes that no reader uses,
-and stays valid in a file that is written again.
+A signature covers the UTF-8 bytes of four lines, each ended by NEWLINE: ``cbsr-qa calibration signature``, the
+``digest`` of the content, the time of signing and the public key. The digest covers every value that is read from a
+file with its path, unit, kind and shape, and is the same in HDF5 and JSON. So a signature does not cover bytes that
+no reader uses, and stays valid in a file that is written again.
 """
 
 import re
@@ -21,7 +21,7 @@ from cbsr_qa.domain.results.signature import Signature, fingerprint
 
 _Kind = TypeVar("_Kind", bound=Issued)
 
-#: How a file states each part of a signature.
+#: Form of each part of a signature in a file.
 SIGNATURE: Final[Mapping[str, re.Pattern[str]]] = {
     "public_key": re.compile("[0-9a-f]{64}"),
     "signed_at": re.compile(r"\d{4}-\d\d-\d\dT\d\d:\d\d:\d\d\+00:00", re.ASCII),
@@ -49,13 +49,14 @@ def read_signature(stated: Mapping[str, Any]) -> Signature | None:
 
     CalibrationError if a part is missing or malformed.
     """
-    missing = [name for name in SIGNATURE if name not in stated]
-    if len(missing) == len(SIGNATURE):
+    missing_parts = [name for name in SIGNATURE if name not in stated]
+    if len(missing_parts) == len(SIGNATURE):
         return None
-    if missing:
-        held = " and ".join(name for name in SIGNATURE if name in stated)
+    if missing_parts:
+        present_parts = " and ".join(name for name in SIGNATURE if name in stated)
         raise CalibrationError(
-            f"its signature was removed in part: {' and '.join(missing)} is missing beside {held}", remedy=_AS_ISSUED
+            f"its signature was removed in part: {' and '.join(missing_parts)} is missing beside {present_parts}",
+            remedy=_AS_ISSUED,
         )
     for name, form in SIGNATURE.items():
         if not (isinstance(stated[name], str) and form.fullmatch(stated[name])):
@@ -77,9 +78,9 @@ def check_signature(calibration: Issued, pinned: str = "") -> None:
     """
     signature = calibration.signature
     if signature is None:
-        which = f"the pinned key {fingerprint(pinned)}" if pinned else "a key"
+        signer = f"the pinned key {fingerprint(pinned)}" if pinned else "a key"
         raise CalibrationError(
-            f"not signed, and a signature by {which} is required: it was removed, or there never was one",
+            f"not signed, and a signature by {signer} is required: it was removed, or there never was one",
             remedy="use a file signed by that key; `cbsr-qa calibration sign` signs one that you trust",
         )
     if not _fits(signature, content_digest(encode(calibration))):

@@ -58,7 +58,7 @@ class MeasuredRelaxation:
     Parameters
     ----------
     common : fit of one trace or of several together.
-    window_s : how long the traces were observed.
+    window_s : time for which the traces were observed.
     loaded_change : mean change under load of unloadings; None for loadings.
     start_s : start of the traces: earlier, shapes are not compared and nothing counts as settled.
     """
@@ -86,14 +86,14 @@ class MeasuredRelaxation:
         common, fit, scale = self.common, self.common.fit, self.scale
         tau = np.array(fit.time_constants_s).reshape(1, -1)
         amplitudes = np.array(fit.amplitudes)
-        each = np.exp(-time_s[:, None] / tau)
-        moving = each @ amplitudes
-        curve = (fit.offset + moving) / scale
+        decays = np.exp(-time_s[:, None] / tau)
+        decaying_part = decays @ amplitudes
+        curve = (fit.offset + decaying_part) / scale
         if not len(amplitudes):
             variance = 0.0 if self.loaded_change is None else (fit.offset_stderr / scale) ** 2
             return curve, np.full(len(time_s), variance)
-        by_offset = -moving / scale if self.loaded_change is None else np.ones_like(moving)
-        gradient = np.column_stack([by_offset, each, each * amplitudes * time_s[:, None] / tau]) / scale
+        by_offset = -decaying_part / scale if self.loaded_change is None else np.ones_like(decaying_part)
+        gradient = np.column_stack([by_offset, decays, decays * amplitudes * time_s[:, None] / tau]) / scale
         return curve, np.einsum("ti,ij,tj->t", gradient, common.covariance, gradient)
 
     def settling_time(self, tolerance: float) -> tuple[float, float] | None:
@@ -110,8 +110,8 @@ class ComparedCurves:
 
     Parameters
     ----------
-    time_s : (n,) from the end of the ramp.
-    first, first_stderr, second, second_stderr : (n,).
+    time_s : (n,) times from the end of the ramp.
+    first, first_stderr, second, second_stderr : (n,) curves and their standard errors.
     """
 
     time_s: Array
@@ -137,13 +137,14 @@ class RelaxationAgreement:
 
     Parameters
     ----------
-    shape : whether the curves, relative to the steady (or released) change, are equivalent.
-    shape_difference, shape_stderr, at_s : second less first, where it is largest relative to its reach.
+    shape : verdict on the curves, relative to the steady (or released) change.
+    shape_difference, shape_stderr, at_s : second less first curve and its error, at the time when it is largest
+        relative to its reach.
     shape_reach : bound of the difference at all times of the window, at the requested level.
-    time : whether the settling times are equivalent.
+    time : verdict on the settling times.
     time_ratio, time_ratio_stderr : second over first; None if one has no plain number.
     time_reach : bound of the ratio, either way, at the requested level; None if one has no plain number.
-    curves : the compared ones, or None.
+    curves : compared curves, or None.
     why : reason for a missing comparison.
     """
 
@@ -181,11 +182,11 @@ def compare_relaxations(
 
     Parameters
     ----------
-    tolerance : of the settling time.
+    tolerance : tolerance of the settling time, as a fraction.
     """
-    for which, measured in (("first", first), ("second", second)):
+    for ordinal, measured in (("first", first), ("second", second)):
         if measured.why_not:
-            return refuse_comparison(f"the {which} relaxation {measured.why_not}")
+            return refuse_comparison(f"the {ordinal} relaxation {measured.why_not}")
     start_s, end_s = max(first.start_s, second.start_s), min(first.window_s, second.window_s)
     if not start_s < end_s:
         return refuse_comparison(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
@@ -210,18 +211,18 @@ def compare_relaxations(
 
 
 def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: Array) -> ComparedCurves:
-    (curve, variance), (other, more) = first.relative(time_s), second.relative(time_s)
-    return ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(more))
+    (curve, variance), (other, other_variance) = first.relative(time_s), second.relative(time_s)
+    return ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(other_variance))
 
 
 def _times(
     first: ComparableRelaxation, second: ComparableRelaxation, tolerance: float
 ) -> tuple[float | None, float | None, float | None, Agreement]:
     """Ratio of the settling times, its standard error, its bound, and the conclusion."""
-    earlier, other = first.settling_time(tolerance), second.settling_time(tolerance)
-    if earlier is None or other is None:
+    first_time, second_time = first.settling_time(tolerance), second.settling_time(tolerance)
+    if first_time is None or second_time is None:
         return None, None, None, Agreement.UNDECIDED
-    (one_s, one_stderr), (other_s, other_stderr) = earlier, other
+    (one_s, one_stderr), (other_s, other_stderr) = first_time, second_time
     log_ratio = float(np.log(other_s / one_s))
     log_stderr = float(np.hypot(one_stderr / one_s, other_stderr / other_s))
     limit = float(np.log1p(TIME_MARGIN))

@@ -26,12 +26,12 @@ class CommonRelaxation:
 
     Parameters
     ----------
-    fit : of the mean trace; time constants and shares of the amplitudes are those of every trace.
-    offsets, scales : (traces,) of each: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂ e^(−t/τ₂)); empty without
-        a curve.
-    shares : (k,), adding to 1.
-    covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, amplitudes and log τ.
-    traces : number used.
+    fit : fit of the mean trace; time constants and shares of the amplitudes are those of every trace.
+    offsets, scales : (traces,) offset and scale of each trace: Gᵢ(t) = offsetᵢ + scaleᵢ (share₁ e^(−t/τ₁) + share₂
+        e^(−t/τ₂)); empty without a curve.
+    shares : (k,) shares of the exponentials; they add to 1.
+    covariance : (1 + 2 k, 1 + 2 k) covariance of the mean trace's offset, amplitudes and log τ.
+    traces : number of traces used.
     """
 
     fit: RelaxationFit
@@ -62,21 +62,24 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no significant relaxation), DRIFTING (slower than the
     traces are long) or REJECTED (no trace, or no time constant is determined).
     """
-    used = [check_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
-    if not used:
-        return _refuse_curve(FitStatus.REJECTED, used, f"no trace of at least {_FEWEST} points")
-    level = np.concatenate([values - values.mean() for _, values in used])
-    rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used)
+    used_traces = [check_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
+    if not used_traces:
+        return _refuse_curve(FitStatus.REJECTED, used_traces, f"no trace of at least {_FEWEST} points")
+    level = np.concatenate([values - values.mean() for _, values in used_traces])
+    rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used_traces)
     if np.abs(level).max() <= rounding:
-        return _refuse_curve(FitStatus.FLAT, used, "no relaxation: the traces are constant")
-    bounds_s = _bounds_s(used)
-    single = _one(used, bounds_s)
-    small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
-    if small and chance_of_gain(level, single.residual, _parameters(used, 1), len(used) + 1) > SIGNIFICANCE:
-        return _refuse_curve(FitStatus.FLAT, used, "no relaxation stands out of the noise")
-    two = _two(used, bounds_s, float(np.log(single.time_constants_s[0])))
-    why = _why_not_two(single, two, bounds_s, _parameters(used, 3), rounding)
-    return _accept_fit(single if why else two, used, bounds_s, why)
+        return _refuse_curve(FitStatus.FLAT, used_traces, "no relaxation: the traces are constant")
+    bounds_s = _bounds_s(used_traces)
+    single = _one(used_traces, bounds_s)
+    is_small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
+    if (
+        is_small
+        and chance_of_gain(level, single.residual, _parameters(used_traces, 1), len(used_traces) + 1) > SIGNIFICANCE
+    ):
+        return _refuse_curve(FitStatus.FLAT, used_traces, "no relaxation stands out of the noise")
+    two = _two(used_traces, bounds_s, float(np.log(single.time_constants_s[0])))
+    why = _why_not_two(single, two, bounds_s, _parameters(used_traces, 3), rounding)
+    return _accept_fit(single if why else two, used_traces, bounds_s, why)
 
 
 def common_settling_time(
@@ -113,8 +116,8 @@ def _slope(common: CommonRelaxation, index: int, settled: "partial[SettlingTime]
     step = 0.1 * float(np.sqrt(common.covariance[index, index]))
     if step == 0:
         return 0.0
-    late, early = (settled(_shift_parameter(common.fit, index, sign * step)).value_s for sign in (1, -1))
-    return 0.0 if late is None or early is None else (late - early) / (2 * step)
+    upper_s, lower_s = (settled(_shift_parameter(common.fit, index, sign * step)).value_s for sign in (1, -1))
+    return 0.0 if upper_s is None or lower_s is None else (upper_s - lower_s) / (2 * step)
 
 
 def _shift_parameter(fit: RelaxationFit, index: int, step: float) -> RelaxationFit:
@@ -122,8 +125,8 @@ def _shift_parameter(fit: RelaxationFit, index: int, step: float) -> RelaxationF
     if index == 0:
         return replace(fit, offset=fit.offset + step)
     if index <= count:
-        moved = [a + step * (k == index - 1) for k, a in enumerate(fit.amplitudes)]
-        return replace(fit, amplitudes=tuple(moved))
+        amplitudes = [a + step * (k == index - 1) for k, a in enumerate(fit.amplitudes)]
+        return replace(fit, amplitudes=tuple(amplitudes))
     taus = [tau * float(np.exp(step * (k == index - 1 - count))) for k, tau in enumerate(fit.time_constants_s)]
     return replace(fit, time_constants_s=tuple(taus))
 
@@ -144,8 +147,8 @@ def _one(traces: Sequence[TimedValues], bounds_s: tuple[float, float]) -> JointE
 
 def _two(traces: Sequence[TimedValues], bounds_s: tuple[float, float], middle: float) -> JointExponentials:
     """Start around the single time constant, which lies between the two."""
-    apart = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
-    starts = [[middle - np.log(down), middle + np.log(up), 0.4] for down, up in apart]
+    ratios = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
+    starts = [[middle - np.log(below), middle + np.log(above), 0.4] for below, above in ratios]
     return fit_joint(traces, starts, bounds_s)
 
 
@@ -153,13 +156,13 @@ def _why_not_two(
     single: JointExponentials, two: JointExponentials, bounds_s: tuple[float, float], parameters: int, rounding: float
 ) -> str:
     """Why the second exponential cannot be kept; empty if it can."""
-    first, second = two.time_constants_s
+    fast_s, slow_s = two.time_constants_s
     chance = chance_of_gain(single.residual, two.residual, parameters, 2)
     checks = (
         (np.abs(single.residual).max() <= rounding, "one exponential explains the traces to rounding"),
         (chance > SIGNIFICANCE, f"a second exponential explains no more than chance would (p = {chance:.2g})"),
-        (second < SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
-        (second > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
+        (slow_s < SEPARATION * fast_s, f"time constants {fast_s:.3g} s and {slow_s:.3g} s cannot be told apart"),
+        (slow_s > 0.99 * bounds_s[1], f"a second time constant would lie at its bound of {bounds_s[1]:.3g} s"),
         (bool(two.log_stderr[1] > LOG_ERROR), "the data do not determine a second time constant"),
     )
     return next((why for failed, why in checks if failed), "")
@@ -173,7 +176,7 @@ def _accept_fit(
         return _refuse_curve(FitStatus.DRIFTING, traces, "still drifting: slower than the traces are long")
     if error > LOG_ERROR:
         return _refuse_curve(FitStatus.REJECTED, traces, "the data do not determine a time constant")
-    every = np.concatenate([values - values.mean() for _, values in traces])
+    centred = np.concatenate([values - values.mean() for _, values in traces])
     fit = RelaxationFit(
         status=FitStatus.TWO if len(joint.shares) == 2 else FitStatus.ONE,
         offset=float(joint.offsets.mean()),
@@ -181,7 +184,7 @@ def _accept_fit(
         time_constants_s=tuple(joint.time_constants_s.tolist()),
         offset_stderr=float(np.sqrt(joint.mean_covariance[0, 0])),
         time_constant_stderr_s=tuple((joint.time_constants_s * joint.log_stderr).tolist()),
-        r_squared=1 - float(joint.residual @ joint.residual) / float(every @ every),
+        r_squared=1 - float(joint.residual @ joint.residual) / float(centred @ centred),
         why=why,
     )
     return CommonRelaxation(fit, joint.offsets, joint.scales, joint.shares, joint.mean_covariance, traces=len(traces))

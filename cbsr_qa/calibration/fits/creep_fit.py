@@ -58,8 +58,8 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
 
     Parameters
     ----------
-    signal : of the loads' relaxations.
-    frames : the end is the mean of this many conductance frames, and of the stress over the same time.
+    signal : name of a signal of the loads' relaxations.
+    frames : number of conductance frames whose mean is the end; the stress is averaged over the same time.
 
     Returns
     -------
@@ -100,9 +100,9 @@ def zero_return(loads: Sequence[LoadObservation], *, frames: int) -> Estimate:
     """
     pairs = []
     for load in loads:
-        held, rested = (trace_of(load, SIGNAL, loading=loading) for loading in (True, False))
-        if held is not None and rested is not None:
-            pairs.append((end_level(rested, frames), end_level(held, frames)))
+        loaded, rested = (trace_of(load, SIGNAL, loading=loading) for loading in (True, False))
+        if loaded is not None and rested is not None:
+            pairs.append((end_level(rested, frames), end_level(loaded, frames)))
     return _ratio(pairs, "no load has frames of both its hold and its rest in which anything was sensed")
 
 
@@ -117,7 +117,7 @@ def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, t
 
 
 def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, float]]:
-    """The same of the stress under the head [kPa]."""
+    """Stress under the head at the end of these cycles, by location [kPa]; see :func:`last_cycles`."""
     return _last_two(loads, lambda load: load.stress_kPa)
 
 
@@ -138,20 +138,20 @@ def _ratio(pairs: Sequence[tuple[float, float]], why_none: str) -> Estimate:
 
 def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
     """Change of a signal from a time to the end of the hold, and its level there; None without such a trace."""
-    trace, framed = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
+    trace, frame_trace = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
     if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records no true values
         return None
-    early = level_at(trace, from_s)
-    last_from_s = trace.time_s[-frames:][0] if framed is None else framed.time_s[-frames:][0]
-    if early is None or not last_from_s > from_s:
+    early_level = level_at(trace, from_s)
+    last_from_s = trace.time_s[-frames:][0] if frame_trace is None else frame_trace.time_s[-frames:][0]
+    if early_level is None or not last_from_s > from_s:
         return None
     end = float(trace.values[trace.time_s >= last_from_s].mean())
-    return end - early, end
+    return end - early_level, end
 
 
 def _describe_missing_trace(signal: str, from_s: float) -> str:
-    what = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
-    return f"{what} that begins before {from_s:g} s and lasts clearly longer"
+    absence = "no force is known under a hold" if signal == STRESS else "nothing was sensed under a hold"
+    return f"{absence} that begins before {from_s:g} s and lasts clearly longer"
 
 
 def _measure_held_level(load: LoadObservation, frames: int) -> float | None:

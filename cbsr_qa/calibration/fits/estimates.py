@@ -15,7 +15,7 @@ from cbsr_qa.domain.numbers import Array, finite_numbers
 FEWEST_POINTS: Final = 3
 
 
-#: More points than this are not searched by triples.
+#: Largest number of points that are searched by triples.
 _MOST_POINTS: Final = 100
 
 
@@ -26,7 +26,7 @@ class Estimate:
     Parameters
     ----------
     stderr : one standard deviation, or None if unknown.
-    degrees : of freedom of the stated scatter.
+    degrees : degrees of freedom of the stated scatter.
     """
 
     value: float
@@ -41,9 +41,9 @@ class StraightLine:
     Parameters
     ----------
     deviations : (n,) float64, points minus line, in the unit of y.
-    largest : of their absolute values.
-    stderr : of ``largest``, with the deciding points held fixed: too large if several compete, never too small. None
-        if the points' errors are unknown.
+    largest : largest absolute deviation.
+    stderr : standard error of ``largest``, with the deciding points held fixed: too large if several compete, never
+        too small. None if the points' errors are unknown.
     """
 
     slope: float
@@ -86,12 +86,20 @@ def best_straight_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[
     triples = np.array(list(combinations(range(len(place)), 3)))
     first, middle, last = triples.T
     share = (place[last] - place[middle]) / (place[last] - place[first])
-    levelled = (value[middle] - share * value[first] - (1 - share) * value[last]) / 2
-    chosen = int(np.argmax(np.abs(levelled)))
-    left, _, right = triples[chosen]
-    slope = float((value[right] - value[left]) / (place[right] - place[left]))
-    of_largest = _combine_errors(error, triples[chosen], float(share[chosen]), 0.5)
-    return _line(slope, (place[left], value[left]), float(levelled[chosen]), place, value, order, of_largest)
+    half_deviations = (value[middle] - share * value[first] - (1 - share) * value[last]) / 2
+    worst_triple = int(np.argmax(np.abs(half_deviations)))
+    left_point, _, right_point = triples[worst_triple]
+    slope = float((value[right_point] - value[left_point]) / (place[right_point] - place[left_point]))
+    of_largest = _combine_errors(error, triples[worst_triple], float(share[worst_triple]), 0.5)
+    return _line(
+        slope,
+        (place[left_point], value[left_point]),
+        float(half_deviations[worst_triple]),
+        place,
+        value,
+        order,
+        of_largest,
+    )
 
 
 def terminal_line(x: Sequence[float], y: Sequence[float], stderr: Sequence[float] | None = None) -> StraightLine:
@@ -153,13 +161,13 @@ def slope(x: Sequence[float], y: Sequence[float]) -> Estimate:
     square = float(centred @ centred)
     if not square > (1e-9 * float(np.abs(place).max(initial=1e-300))) ** 2 * len(place):
         raise NumericsError("a slope needs loads at two strains", remedy="press at clearly different strains")
-    apart = value - value.mean()
-    rate = float(centred @ apart) / square
+    centred_values = value - value.mean()
+    rate = float(centred @ centred_values) / square
     degrees = len(place) - 2
     if degrees < 1:
         return Estimate(rate, None, 0)
-    left = apart - rate * centred
-    return Estimate(rate, float(np.sqrt(left @ left / degrees / square)), degrees)
+    residual = centred_values - rate * centred
+    return Estimate(rate, float(np.sqrt(residual @ residual / degrees / square)), degrees)
 
 
 def _sort_points(

@@ -29,11 +29,11 @@ class LoopCurve:
 
     Parameters
     ----------
-    location, x_mm, y_mm : of the place.
+    location, x_mm, y_mm : name and coordinates of the place.
     cycles, hold_s : number of loops, and time each strain was held.
     peak : index of the deepest strain; up to it the strain rises, after it it falls.
     strain, stress_kPa, output : (n,) float64 in order of holding; the output relative to that at the peak.
-    difference, stderr : (n − 1 − peak,) of the falling strains: output less that of the way up at the same stress,
+    difference, stderr : (n − 1 − peak,) output at the falling strains less that of the way up at the same stress,
         and one standard error.
     """
 
@@ -56,9 +56,9 @@ class Hysteresis:
 
     Parameters
     ----------
-    estimate : its size in shares of the span, with the error of the difference there.
-    strain : of that difference, on the way down.
-    higher : whether the output is higher on the way down than on the way up there.
+    estimate : size of the difference in shares of the span, with the error of the difference there.
+    strain : strain of that difference, on the way down.
+    higher : True if the output there is higher on the way down than on the way up.
     """
 
     estimate: Estimate
@@ -76,7 +76,7 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
     Parameters
     ----------
     relaxed : True to extrapolate to relaxed levels; False for levels at the end of each hold.
-    last_s : for the latter, time averaged at the end.
+    last_s : time at the end of each hold that is averaged for the latter.
 
     Raises
     ------
@@ -93,10 +93,10 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
     else:
         output = levels_read(records, loop.output, last_s, loop.noise)
         stress = levels_read(records, loop.stress, last_s)
-    each = _differences(output.values, stress.values, peak)
-    of_errors = _propagate_errors(output, stress, peak, each.mean(axis=0))
+    differences = _differences(output.values, stress.values, peak)
+    propagated_stderr = _propagate_errors(output, stress, peak, differences.mean(axis=0))
     count = len(records)
-    of_cycles = each.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.zeros_like(of_errors)
+    cycle_stderr = differences.std(axis=0, ddof=1) / np.sqrt(count) if count > 1 else np.zeros_like(propagated_stderr)
     place = records[0].load
     span = float(output.values[:, peak].mean())
     return LoopCurve(
@@ -109,8 +109,8 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
         strain,
         stress.values.mean(axis=0),
         output.values.mean(axis=0) / span,
-        each.mean(axis=0),
-        np.maximum(of_errors, of_cycles),
+        differences.mean(axis=0),
+        np.maximum(propagated_stderr, cycle_stderr),
     )
 
 
@@ -124,15 +124,17 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
     """
     if not curves:
         raise NumericsError("no place was pressed to strains from below and from above")
-    first = curves[0]
-    if any(len(c.strain) != len(first.strain) or not np.allclose(c.strain, first.strain) for c in curves):
+    first_curve = curves[0]
+    if any(len(c.strain) != len(first_curve.strain) or not np.allclose(c.strain, first_curve.strain) for c in curves):
         raise NumericsError("the loops of different places go through different strains")
     differences = finite_numbers([curve.difference for curve in curves], "differences between the branches")
     errors = finite_numbers([curve.stderr for curve in curves], "errors of the differences")
     difference, stderr = differences.mean(axis=0), np.sqrt((errors**2).sum(axis=0)) / len(curves)
     widest = int(np.argmax(np.abs(difference)))
     widest_difference = Estimate(float(abs(difference[widest])), float(stderr[widest]), 0)
-    return Hysteresis(widest_difference, float(first.strain[first.peak + 1 + widest]), bool(difference[widest] > 0))
+    return Hysteresis(
+        widest_difference, float(first_curve.strain[first_curve.peak + 1 + widest]), bool(difference[widest] > 0)
+    )
 
 
 def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
@@ -152,7 +154,7 @@ def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
             "the press did not go up through some strains and then down through some",
             remedy='press with sequence = "hysteresis-loop"',
         )
-    held_s = np.array([held.end_s - held.start_s for record in loop.records for held in record.held])
+    held_s = np.array([hold.end_s - hold.start_s for record in loop.records for hold in record.held])
     if np.ptp(held_s) > _ALIKE * held_s.max():
         raise NumericsError(
             f"strains were held for {held_s.min():.3g} to {held_s.max():.3g} s: creep is not alike on both ways",
@@ -162,7 +164,7 @@ def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
 
 
 def _strains(record: LoadRecord) -> Array:
-    return np.array([held.strain for held in record.held])
+    return np.array([hold.strain for hold in record.held])
 
 
 def _differences(output: Array, stress: Array, peak: int) -> Array:
@@ -171,21 +173,21 @@ def _differences(output: Array, stress: Array, peak: int) -> Array:
     if not abs(span) > 0:
         raise NumericsError("the output at the deepest strain is zero: no share can be computed")
     differences = []
-    for values, at in zip(output, stress, strict=True):
-        rising = np.concatenate([[0.0], at[: peak + 1]])
+    for values, stresses in zip(output, stress, strict=True):
+        rising = np.concatenate([[0.0], stresses[: peak + 1]])
         if not (np.diff(rising) > 0).all():
             raise NumericsError("the stress does not rise with the strain on the way up")
-        there = np.interp(at[peak + 1 :], rising, np.concatenate([[0.0], values[: peak + 1]]))
-        differences.append((values[peak + 1 :] - there) / span)
+        rising_output = np.interp(stresses[peak + 1 :], rising, np.concatenate([[0.0], values[: peak + 1]]))
+        differences.append((values[peak + 1 :] - rising_output) / span)
     return np.array(differences)
 
 
 def _propagate_errors(output: Levels, stress: Levels, peak: int, plain: Array) -> Array:
     """Standard error of the mean difference (falling strains,) from every cause, one after the other."""
-    moved = [
+    shifted_differences = [
         *(_differences(output.values + error, stress.values, peak) for error in output.errors),
         *(_differences(output.values, stress.values + error, peak) for error in stress.errors),
     ]
-    square = np.sum([(each.mean(axis=0) - plain) ** 2 for each in moved], axis=0)
+    square = np.sum([(shifted.mean(axis=0) - plain) ** 2 for shifted in shifted_differences], axis=0)
     stderr: Array = np.sqrt(square)
     return stderr

@@ -8,7 +8,7 @@ import numpy as np
 from cbsr_qa.calibration.fits.separable import best_fit
 from cbsr_qa.domain.numbers import Array
 
-#: (times (n,), values (n,)) of one trace.
+#: Times (n,) and values (n,) of one trace.
 TimedValues = tuple[Array, Array]
 
 
@@ -19,10 +19,10 @@ class JointExponentials:
     Parameters
     ----------
     time_constants_s : (k,) rising [s].
-    shares : (k,) of each exponential in g; they add to 1.
+    shares : (k,) shares of the exponentials in g; they add to 1.
     offsets, scales : (traces,) cᵢ and sᵢ, in the unit of the values.
     residual : (all points,) values − fit.
-    mean_covariance : (1 + 2 k, 1 + 2 k) of the mean trace's offset, its amplitudes, and log τ.
+    mean_covariance : (1 + 2 k, 1 + 2 k) covariance of the mean trace's offset, its amplitudes, and log τ.
     """
 
     time_constants_s: Array
@@ -51,7 +51,7 @@ def fit_joint(
 
     Parameters
     ----------
-    traces : at least one, each with more than two points.
+    traces : at least one trace, each with more than two points.
     starts : log τ of one exponential, or (log τ₁, log τ₂, share of the first) of two.
     bounds_s : lowest and highest time constant.
     """
@@ -85,8 +85,8 @@ class _Joint:
     def jacobian(self, shape: Array) -> Array:
         basis, scales = self._project(shape)
         slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
-        along = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
-        return (basis[:, None] * self._spread(along) - slope) / self._size
+        projections = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
+        return (basis[:, None] * self._spread(projections) - slope) / self._size
 
     def assemble(self, shape: Array) -> JointExponentials:
         if len(shape) == 3 and shape[0] > shape[1]:
@@ -130,14 +130,14 @@ class _Joint:
         # Not from the normal equations, which would treat nearly equal shapes as determined.
         root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
         of_shape: Array = root @ root.T
-        given, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
+        level_covariance, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
         for time_s, scale in zip(np.split(self._time_s, self._first[1:]), scales, strict=True):
             inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
-            given += inverse @ inverse.T / count**2
+            level_covariance += inverse @ inverse.T / count**2
             turn -= inverse @ (scale * _slopes(time_s, shape)) / count
         linear = np.vstack([np.column_stack([np.eye(2), turn]), np.eye(len(shape) + 2)[2:]])
-        back = _to_amplitudes(shape, float(scales.mean())) @ linear
-        return back @ _block(given, of_shape) @ back.T
+        to_amplitudes = _to_amplitudes(shape, float(scales.mean())) @ linear
+        return to_amplitudes @ _block(level_covariance, of_shape) @ to_amplitudes.T
 
 
 def _shape(time_s: Array, shape: Array) -> Array:
@@ -150,10 +150,10 @@ def _shape(time_s: Array, shape: Array) -> Array:
 def _slopes(time_s: Array, shape: Array) -> Array:
     """Derivatives of the shape with respect to log τ and, for two exponentials, the share of the first."""
     tau = np.exp(shape[:2]) if len(shape) == 3 else np.exp(shape)
-    each = np.exp(-time_s[:, None] / tau)
-    slopes: Array = each * time_s[:, None] / tau
+    decays = np.exp(-time_s[:, None] / tau)
+    slopes: Array = decays * time_s[:, None] / tau
     if len(shape) == 3:
-        slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], each[:, 0] - each[:, 1]])
+        slopes = np.column_stack([slopes * [shape[2], 1 - shape[2]], decays[:, 0] - decays[:, 1]])
     return slopes
 
 
@@ -168,6 +168,6 @@ def _to_amplitudes(shape: Array, scale: float) -> Array:
 
 def _block(first: Array, second: Array) -> Array:
     size = len(first) + len(second)
-    whole = np.zeros((size, size))
-    whole[: len(first), : len(first)], whole[len(first) :, len(first) :] = first, second
-    return whole
+    matrix = np.zeros((size, size))
+    matrix[: len(first), : len(first)], matrix[len(first) :, len(first) :] = first, second
+    return matrix

@@ -10,9 +10,9 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, finite_numbers
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
-#: Levels are one place if their places differ by less than this share of their size.
+#: Largest difference, as a share of their size, between places that count as one.
 _COLLINEAR: Final = 1e-9
-#: Larger numbers, or smaller ones than its inverse, cannot be squared and divided safely.
+#: Largest number that can be squared and divided safely; the smallest is its inverse.
 _LARGEST: Final = 1e70
 #: Error of all-zero changes without a stated one: small, with a finite square.
 _NO_ERROR: Final = 1e-120
@@ -28,7 +28,7 @@ class QuasiStaticFit:
     covariance : (2, 2) float64 of (slope, intercept).
     levels : fitted strains, rising.
     excluded : strains left out because their deviation exceeds their mean change.
-    chi_squared, degrees : of the weighted residuals; degrees are levels − 2.
+    chi_squared, degrees : χ² of the weighted residuals, and its degrees of freedom: levels − 2.
     """
 
     slope: float
@@ -75,43 +75,43 @@ def fit_quasi_static(
         or their x coincide, so that slope and intercept cannot be separated.
     """
     level, place, value = _check_points(strain, x, change)
-    given = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
+    stated_stderr = np.zeros(len(value)) if stderr is None else finite_numbers(stderr, "standard errors")
     strains = np.unique(level)
     means = np.array([value[level == s].mean() for s in strains])
-    errors, deviations = _errors(level, value, given, strains)
-    kept = deviations <= np.abs(means)
-    if kept.sum() < 2:
+    errors, deviations = _errors(level, value, stated_stderr, strains)
+    kept_mask = deviations <= np.abs(means)
+    if kept_mask.sum() < 2:
         raise NumericsError(
-            f"{int(kept.sum())} of {len(strains)} strains can be fitted; slope and intercept need two",
+            f"{int(kept_mask.sum())} of {len(strains)} strains can be fitted; slope and intercept need two",
             remedy="press at two strains or more, each clear of its own scatter",
         )
-    places = np.array([place[level == s].mean() for s in strains])[kept]
+    places = np.array([place[level == s].mean() for s in strains])[kept_mask]
     if np.ptp(places) <= _COLLINEAR * np.abs(places).max():
         raise NumericsError(
             f"all loads lie at x = {places[0]:g}: slope and intercept cannot be told apart",
             remedy="press at clearly different strains",
         )
-    solution, covariance, chi_squared = _fit_weighted_line(places, means[kept], errors[kept])
-    degrees = int(kept.sum()) - 2
+    solution, covariance, chi_squared = _fit_weighted_line(places, means[kept_mask], errors[kept_mask])
+    degrees = int(kept_mask.sum()) - 2
     return QuasiStaticFit(
         float(solution[0]),
         float(solution[1]),
         covariance * max(1.0, chi_squared / degrees if degrees else 1.0),
-        tuple(strains[kept].tolist()),
-        tuple(strains[~kept].tolist()),
+        tuple(strains[kept_mask].tolist()),
+        tuple(strains[~kept_mask].tolist()),
         chi_squared,
         degrees,
     )
 
 
 def _check_points(strain: Sequence[float], x: Sequence[float], change: Sequence[float]) -> tuple[Array, Array, Array]:
-    level, place, value = (np.asarray(part, dtype=np.float64) for part in (strain, x, change))
+    level, place, value = (np.asarray(numbers, dtype=np.float64) for numbers in (strain, x, change))
     if not len(level) == len(place) == len(value):
         raise NumericsError(f"{len(level)} strains, {len(place)} places and {len(value)} changes do not fit together")
-    if not all(np.isfinite(part).all() for part in (level, place, value)):
+    if not all(np.isfinite(numbers).all() for numbers in (level, place, value)):
         raise NumericsError("a quasi-static fit was given a number that is not finite")
-    for name, part in (("x", place), ("change", value)):
-        size = float(np.abs(part).max(initial=0.0))
+    for name, numbers in (("x", place), ("change", value)):
+        size = float(np.abs(numbers).max(initial=0.0))
         if size and not 1 / _LARGEST <= size <= _LARGEST:
             raise NumericsError(
                 f"a quasi-static fit was given {name} of {size:.3g}: its square is outside the range of numbers",
@@ -129,10 +129,10 @@ def _errors(level: Array, value: Array, given: Array, strains: Array) -> tuple[A
     spare = int((counts - 1).sum())
     pooled = float(np.sqrt(((counts - 1) * deviations**2).sum() / spare)) if spare else 0.0
     scatter = np.where(counts > 1, deviations, pooled)
-    stated = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
-    errors = np.maximum(scatter, stated) / np.sqrt(counts)
+    stated_rms = np.array([np.sqrt((given[level == s] ** 2).mean()) for s in strains])
+    errors = np.maximum(scatter, stated_rms) / np.sqrt(counts)
     # Without scatter all levels have equal weight; the error is that of rounding.
-    least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated.max(initial=0.0))) or _NO_ERROR
+    least = 1e-12 * float(max(np.abs(value).max(initial=0.0), stated_rms.max(initial=0.0))) or _NO_ERROR
     return np.maximum(errors, least), deviations
 
 
@@ -142,7 +142,7 @@ def _fit_weighted_line(x: Array, y: Array, error: Array) -> tuple[Array, Array, 
     middle = float(np.average(x, weights=weight**2))
     q, r = np.linalg.qr(np.column_stack([x - middle, np.ones_like(x)]) * weight[:, None])
     centred = np.linalg.solve(r, q.T @ (y * weight))
-    back = np.array([[1.0, 0.0], [-middle, 1.0]])
-    inverse = back @ np.linalg.inv(r)
+    from_centred = np.array([[1.0, 0.0], [-middle, 1.0]])
+    inverse = from_centred @ np.linalg.inv(r)
     residual = (y - centred[0] * (x - middle) - centred[1]) * weight
-    return back @ centred, inverse @ inverse.T, float(residual @ residual)
+    return from_centred @ centred, inverse @ inverse.T, float(residual @ residual)

@@ -31,15 +31,15 @@ def exponentials(
 
     Parameters
     ----------
-    time_s : (...,) from the end of the ramp.
-    time_constants_s : (k,).
+    time_s : (...,) times from the end of the ramp.
+    time_constants_s : (k,) time constants.
     ramp_s : T, broadcast with ``time_s``.
     frame_s : P; 0 for values of the frame's middle.
     """
-    late = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
+    lateness = np.asarray(time_s, dtype=np.float64)[..., None] / time_constants_s
     factor, slope = observable_share(time_constants_s, ramp_s=ramp_s, frame_s=frame_s)
-    values = np.exp(-late) * factor
-    return values, values * (late - slope)
+    values = np.exp(-lateness) * factor
+    return values, values * (lateness - slope)
 
 
 def observable_share(
@@ -49,40 +49,44 @@ def observable_share(
 
     NumericsError if a frame lasts a thousand time constants: its mean is that of its first instant alone.
     """
-    long = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
-    half = frame_s / 2 / time_constants_s
-    if (half > _LONGEST).any():
+    ramp_ratio = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
+    frame_ratio = frame_s / 2 / time_constants_s
+    if (frame_ratio > _LONGEST).any():
         raise NumericsError(
             f"a frame of {frame_s:g} s says nothing about a time constant of {np.min(time_constants_s):.3g} s",
             remedy="leave out what is so much faster than a frame",
         )
-    ramp, ramp_slope = _mean_decay(long)
-    frame, frame_slope = _mean_about(half)
+    ramp, ramp_slope = _mean_decay(ramp_ratio)
+    frame, frame_slope = _mean_about(frame_ratio)
     # d/d log τ of f(c/τ) is −x f'(x).
-    return ramp * frame, long * ramp_slope / ramp + half * frame_slope / frame
+    return ramp * frame, ramp_ratio * ramp_slope / ramp + frame_ratio * frame_slope / frame
 
 
 def _mean_decay(x: Array) -> tuple[Array, Array]:
-    small = x < _SERIES
-    safe = np.where(small, 1.0, x)
+    small_mask = x < _SERIES
+    safe = np.where(small_mask, 1.0, x)
     value = -np.expm1(-safe) / safe
     slope = (np.exp(-safe) - value) / safe
-    return np.where(small, _power_series(_DECAY, x), value), np.where(small, _power_series(_DECAY_SLOPE, x), slope)
+    return np.where(small_mask, _power_series(_DECAY, x), value), np.where(
+        small_mask, _power_series(_DECAY_SLOPE, x), slope
+    )
 
 
 def _mean_about(x: Array) -> tuple[Array, Array]:
-    small = x < _SERIES
-    safe = np.where(small, 1.0, x)
+    small_mask = x < _SERIES
+    safe = np.where(small_mask, 1.0, x)
     value = np.sinh(safe) / safe
     slope = (np.cosh(safe) - value) / safe
-    return np.where(small, _power_series(_ABOUT, x), value), np.where(small, _power_series(_ABOUT_SLOPE, x), slope)
+    return np.where(small_mask, _power_series(_ABOUT, x), value), np.where(
+        small_mask, _power_series(_ABOUT_SLOPE, x), slope
+    )
 
 
 def _power_series(coefficients: Array, x: Array) -> Array:
     return np.asarray(np.polynomial.polynomial.polyval(np.minimum(x, _SERIES), coefficients), dtype=np.float64)
 
 
-#: Below, the derivatives are differences of nearly equal numbers, and Taylor's series is used instead.
+#: Number below which Taylor's series is used, as the derivatives are differences of nearly equal numbers.
 _SERIES: Final = 0.5
 _TERMS: Final = 16  # 0.5¹⁶/16! is rounding
 _DECAY: Final = np.array([(-1) ** k / factorial(k + 1) for k in range(_TERMS)])
@@ -172,10 +176,10 @@ def check_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
         )
     backward = np.flatnonzero(np.diff(time_s) <= 0)
     if backward.size:
-        first = int(backward[0])
+        first_backward = int(backward[0])
         raise NumericsError(
-            f"time stamps repeat or step back: sample {first + 1} at {time_s[first + 1]:.13g} s"
-            f" follows {time_s[first]:.13g} s",
+            f"time stamps repeat or step back: sample {first_backward + 1} at {time_s[first_backward + 1]:.13g} s"
+            f" follows {time_s[first_backward]:.13g} s",
             remedy="drop or re-time the repeated samples before fitting",
         )
     _check_range(time_s, values)
@@ -205,15 +209,15 @@ def _bounds_s(time_s: Array) -> tuple[float, float]:
 
 
 def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
-    first, second = two.time_constants_s
-    at_bound = second > 0.99 * bounds_s[1] or first < 1.01 * bounds_s[0]
+    fast_s, slow_s = two.time_constants_s
+    at_bound = slow_s > 0.99 * bounds_s[1] or fast_s < 1.01 * bounds_s[0]
     chance = chance_of_gain(single.residual, two.residual, 5, 2)
     checks = (
         (
             single.sum_of_squares <= len(single.residual) * rounding**2,
             "one exponential explains the trace to rounding",
         ),
-        (second < SEPARATION * first, f"time constants {first:.3g} s and {second:.3g} s cannot be told apart"),
+        (slow_s < SEPARATION * fast_s, f"time constants {fast_s:.3g} s and {slow_s:.3g} s cannot be told apart"),
         (at_bound, f"a second time constant would lie at a bound ({bounds_s[0]:.3g} s to {bounds_s[1]:.3g} s)"),
         (bool((two.stderr[3:] > LOG_ERROR).any()), "the data do not determine a second time constant"),
         (

@@ -12,9 +12,9 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationKernel
 
-#: Relative scatters tried, uniform a priori up to 1.
+#: Candidate relative scatters, uniform a priori up to 1.
 _SCATTERS: Final = np.linspace(0.0, 1.0, 61) ** 2
-#: From so many residual degrees of freedom on a load's own noise is used instead of the pooled one.
+#: Residual degrees of freedom from which a load's own noise is used instead of the pooled one.
 _OWN_NOISE: Final = 8
 #: Lower bound of a value's noise, as a share of its load, to keep covariances invertible.
 _LEAST_NOISE: Final = 1e-6
@@ -28,9 +28,9 @@ class KernelTrace:
 
     Parameters
     ----------
-    time_s, values : (n,).
-    ramp_s : of the ramp before.
-    released : D of an unloading; None for a loading.
+    time_s, values : (n,) times and values of the trace.
+    ramp_s : duration of the ramp before the trace.
+    released : released change D of an unloading; None for a loading.
     """
 
     time_s: Array
@@ -57,33 +57,35 @@ def _estimate_shared_kernel(
 
     Parameters
     ----------
-    weights, time_constants_s : (k,) initial.
-    prior_stderr : (2 k,) of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
+    weights, time_constants_s : (k,) initial values.
+    prior_stderr : (2 k,) standard deviations of the weak normal prior of (w, log τ) about them; 0 keeps one fixed.
     noise : standard deviation of a value of each load; None to estimate it from the residuals.
-    start_s : of the kernel.
+    start_s : start of the kernel.
     """
     mean = start = np.concatenate([weights, np.log(time_constants_s)])
-    free = prior_stderr > 0
-    precision = 1 / prior_stderr[free] ** 2
+    free_mask = prior_stderr > 0
+    precision = 1 / prior_stderr[free_mask] ** 2
     for _ in range(_ROUNDS):
         reduced = _Reduced(traces, mean, frame_s, noise)
-        steps, inverse, likely = reduced.search_scatter(free, precision, (start - mean)[free])
+        steps, inverse, likelihood = reduced.search_scatter(free_mask, precision, (start - mean)[free_mask])
         mean = mean.copy()
-        mean[free] += likely @ steps
-    around = steps - likely @ steps
+        mean[free_mask] += likelihood @ steps
+    deviation = steps - likelihood @ steps
     covariance = np.zeros((len(mean), len(mean)))
-    covariance[np.ix_(free, free)] = np.einsum("g,gij->ij", likely, inverse) + (likely[:, None] * around).T @ around
-    scatter, freedom = _as_variance(likely)
-    half = len(weights)
+    covariance[np.ix_(free_mask, free_mask)] = (
+        np.einsum("g,gij->ij", likelihood, inverse) + (likelihood[:, None] * deviation).T @ deviation
+    )
+    scatter, freedom = _as_variance(likelihood)
+    count = len(weights)
     # Time constants that began close together may have changed places.
-    rising = np.argsort(mean[half:], kind="stable")
-    both = np.concatenate([rising, half + rising])
+    time_order = np.argsort(mean[count:], kind="stable")
+    parameter_order = np.concatenate([time_order, count + time_order])
     return RelaxationKernel(
         loading=traces[0].released is None,
-        weights=mean[rising],
-        time_constants_s=np.exp(mean[half + rising]),
-        covariance=covariance[np.ix_(both, both)],
-        scatter=scatter * np.abs(mean[rising]),
+        weights=mean[time_order],
+        time_constants_s=np.exp(mean[count + time_order]),
+        covariance=covariance[np.ix_(parameter_order, parameter_order)],
+        scatter=scatter * np.abs(mean[time_order]),
         scatter_freedom=freedom,
         loads=len(traces),
         start_s=start_s,
@@ -101,18 +103,18 @@ class _Reduced:
     def __init__(
         self, traces: Sequence[KernelTrace], mean: Array, frame_s: float, noise: Sequence[float] | None
     ) -> None:
-        half = len(mean) // 2
-        self.weights = mean[:half]
-        loads = [_project_trace(trace, self.weights, np.exp(mean[half:]), frame_s) for trace in traces]
+        count = len(mean) // 2
+        self.weights = mean[:count]
+        loads = [_project_trace(trace, self.weights, np.exp(mean[count:]), frame_s) for trace in traces]
         self.data, self.level, self.parts, self.slopes, self.size = (
             np.array(row) for row in zip(*(load[:5] for load in loads), strict=True)
         )
         squares, spare = (np.array(row, dtype=np.float64) for row in zip(*(load[5:] for load in loads), strict=True))
         pooled = squares.sum() / max(float(spare.sum()), 1.0)
-        own = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
-        given = own if noise is None else np.asarray(noise, dtype=np.float64) ** 2
+        residual_variance = np.where(spare >= _OWN_NOISE, squares / np.maximum(spare, 1), pooled)
+        noise_variance = residual_variance if noise is None else np.asarray(noise, dtype=np.float64) ** 2
         least = (_LEAST_NOISE * self.size) ** 2 + np.finfo(np.float64).tiny
-        self.variance = np.maximum(given, least)
+        self.variance = np.maximum(noise_variance, least)
 
     def search_scatter(self, free: Mask, precision: Array, back: Array) -> tuple[Array, Array, Array]:
         """Steps (g, f), covariances (g, f, f) and likelihoods (g,) at each relative scatter of the grid.
@@ -128,38 +130,38 @@ class _Reduced:
         level = np.einsum("gnij,nj->gni", inverse, self.level)
         weight = np.einsum("gni,ni->gn", level, self.level)
         across = inverse - level[..., :, None] * level[..., None, :] / weight[..., None, None]
-        seen = np.einsum("gnij,nj->gni", across, self.data)
+        projected_data = np.einsum("gnij,nj->gni", across, self.data)
         information = np.einsum("nia,gnij,njb->gab", slopes, across, slopes, optimize=True) + np.diag(precision)
-        pull = np.einsum("nia,gni->ga", slopes, seen) + precision * back
+        pull = np.einsum("nia,gni->ga", slopes, projected_data) + precision * back
         posterior = np.linalg.inv(information)
         steps = np.einsum("gab,gb->ga", posterior, pull)
         explained = np.einsum("ga,ga->g", pull, steps)
-        left = np.einsum("gni,ni->g", seen, self.data) - explained
+        chi_squared = np.einsum("gni,ni->g", projected_data, self.data) - explained
         volume = np.linalg.slogdet(covariance)[1].sum(axis=1) + np.log(weight).sum(axis=1)
-        log_likelihood = -0.5 * (left + volume + np.linalg.slogdet(information)[1])
-        likely = np.exp(log_likelihood - log_likelihood.max()) * np.gradient(_SCATTERS)
-        return steps, posterior, likely / likely.sum()
+        log_likelihood = -0.5 * (chi_squared + volume + np.linalg.slogdet(information)[1])
+        likelihood = np.exp(log_likelihood - log_likelihood.max()) * np.gradient(_SCATTERS)
+        return steps, posterior, likelihood / likelihood.sum()
 
 
 def _project_trace(
     trace: KernelTrace, weights: Array, time_constants_s: Array, frame_s: float
 ) -> tuple[Array, Array, Array, Array, float, float, int]:
     """Coordinates of values, level, exponentials and slopes; the size; residual, and its degrees of freedom."""
-    parts, by_log = exponentials(trace.time_s, time_constants_s, ramp_s=trace.ramp_s, frame_s=frame_s)
-    relaxing = parts @ weights
+    decays, log_slopes = exponentials(trace.time_s, time_constants_s, ramp_s=trace.ramp_s, frame_s=frame_s)
+    relaxing = decays @ weights
     level = np.ones_like(relaxing) if trace.released is not None else 1 + relaxing
-    columns = np.column_stack([level, parts, weights * by_log])
+    columns = np.column_stack([level, decays, weights * log_slopes])
     basis = np.linalg.svd(columns, full_matrices=False)[0]
     data = basis.T @ trace.values
-    left = trace.values - basis @ data
+    residual = trace.values - basis @ data
     size = float(trace.values @ level / (level @ level)) if trace.released is None else trace.released
     if trace.released is not None:
         data = data - basis.T @ (trace.released * relaxing)
     coordinates = basis.T @ columns
-    half = len(weights)
-    spare = max(len(trace.values) - columns.shape[1], 0)
-    parts, slopes = coordinates[:, 1 : 1 + half], coordinates[:, 1:]
-    return data, coordinates[:, 0], parts, slopes, size, float(left @ left), spare
+    count = len(weights)
+    freedom = max(len(trace.values) - columns.shape[1], 0)
+    decays, slopes = coordinates[:, 1 : 1 + count], coordinates[:, 1:]
+    return data, coordinates[:, 0], decays, slopes, size, float(residual @ residual), freedom
 
 
 def _as_variance(likely: Array) -> tuple[float, float]:
@@ -216,17 +218,17 @@ def learn_kernel(
     """
     loads, unit = _scale_loads(_loads(traces, ramp_s, released, start_s))
     usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
-    used = [loads[index] for index in usable]
-    common = fit_common_relaxation([(load.time_s, load.values) for load in used])
-    why = common.fit.why if common.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
-    if not why and not _stands_out(used, common):
+    used_loads = [loads[index] for index in usable]
+    common_fit = fit_common_relaxation([(load.time_s, load.values) for load in used_loads])
+    why = common_fit.fit.why if common_fit.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
+    if not why and not _stands_out(used_loads, common_fit):
         why = "no load stands out of its noise"
     if why:
-        return _refuse_kernel(released is None, len(used), start_s, why)
-    weights, time_constants_s, prior = _beginning(used, common, frame_s)
-    own = None if noise is None else [noise[index] * unit for index in usable]
+        return _refuse_kernel(released is None, len(used_loads), start_s, why)
+    weights, time_constants_s, prior = _beginning(used_loads, common_fit, frame_s)
+    used_noise = None if noise is None else [noise[index] * unit for index in usable]
     return _estimate_shared_kernel(
-        used, weights, time_constants_s, prior, frame_s=frame_s, noise=own, start_s=start_s
+        used_loads, weights, time_constants_s, prior, frame_s=frame_s, noise=used_noise, start_s=start_s
     )
 
 
@@ -241,9 +243,9 @@ def _loads(
     for (time_s, values), ramp, change in zip(traces, ramps, changes, strict=True):
         if not (np.isfinite(ramp) and ramp >= 0 and (change is None or np.isfinite(change))):
             raise NumericsError(f"a ramp of {ramp} s, or a released change of {change}, is no finite number")
-        times, taken = check_trace(time_s, values)
+        times, numbers = check_trace(time_s, values)
         counts = times >= start_s
-        loads.append(KernelTrace(times[counts], taken[counts], ramp, change))
+        loads.append(KernelTrace(times[counts], numbers[counts], ramp, change))
     return loads
 
 
@@ -267,25 +269,25 @@ def _stands_out(loads: Sequence[KernelTrace], common: CommonRelaxation) -> bool:
 def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: float) -> tuple[Array, Array, Array]:
     """Weights, time constants and the standard deviations of their weak priors."""
     window_s = max(float(load.time_s[-1]) for load in loads)
-    seen = np.array(common.fit.time_constants_s)
+    visible_s = np.array(common.fit.time_constants_s)
     sizes = np.array([common.fit.offset if load.released is None else load.released for load in loads])
     amplitudes = np.array(common.fit.amplitudes)
     if abs(sizes.mean()) > _ONE_SIGN * np.sqrt((sizes**2).mean()):
         relative = amplitudes / sizes.mean()
     else:  # releases of both signs, whose mean is meaningless
-        relative = common.shares * float(common.scales @ sizes / (sizes @ sizes)) if len(seen) else amplitudes
+        relative = common.shares * float(common.scales @ sizes / (sizes @ sizes)) if len(visible_s) else amplitudes
     ramp_s = float(np.mean([load.ramp_s for load in loads]))
-    weights = np.zeros(len(seen))
-    if len(seen):
-        start, _ = exponentials(np.zeros(1), seen, ramp_s=ramp_s, frame_s=frame_s)
+    weights = np.zeros(len(visible_s))
+    if len(visible_s):
+        start, _ = exponentials(np.zeros(1), visible_s, ramp_s=ramp_s, frame_s=frame_s)
         weights = relative / start[0]
-    if len(seen) == 2:
-        return weights, seen, np.array([_WEIGHT, _WEIGHT, _LOG_TIME, _LOG_TIME])
-    if len(seen) == 1:
-        both = np.array([seen[0] / _APART, seen[0]])
-        return np.array([0.0, weights[0]]), both, np.array([_HIDDEN, _WEIGHT, 0.0, _LOG_TIME])
-    both = window_s / np.array([3 * _APART, 3.0])
-    return np.zeros(2), both, np.array([_HIDDEN, _HIDDEN, 0.0, 0.0])
+    if len(visible_s) == 2:
+        return weights, visible_s, np.array([_WEIGHT, _WEIGHT, _LOG_TIME, _LOG_TIME])
+    if len(visible_s) == 1:
+        both_s = np.array([visible_s[0] / _APART, visible_s[0]])
+        return np.array([0.0, weights[0]]), both_s, np.array([_HIDDEN, _WEIGHT, 0.0, _LOG_TIME])
+    both_s = window_s / np.array([3 * _APART, 3.0])
+    return np.zeros(2), both_s, np.array([_HIDDEN, _HIDDEN, 0.0, 0.0])
 
 
 def _refuse_kernel(loading: bool, loads: int, start_s: float, why: str) -> RelaxationKernel:

@@ -40,7 +40,8 @@ class Exponentials:
     time_constants_s : (k,) rising [s].
     coefficients : (1 + k,) offset and amplitudes at t = 0, in the unit of the values.
     residual : (n,) values − fit.
-    stderr : (1 + 2 k,) of offset, amplitudes and logarithms of the time constants; infinite where undetermined.
+    stderr : (1 + 2 k,) standard errors of offset, amplitudes and logarithms of the time constants; infinite where
+        undetermined.
     """
 
     time_constants_s: Array
@@ -76,21 +77,21 @@ def fit_exponentials(
     scale = float(np.abs(centred).max()) or 1.0
     y = centred / scale
     lowest, highest = np.log(bounds_s)
-    kept: dict[bytes, tuple[Array, Array, Array]] = {}
+    factors_by_key: dict[bytes, tuple[Array, Array, Array]] = {}
 
     def factors(log_tau: Array) -> tuple[Array, Array, Array]:
         """Basis and its QR; the last ones are cached, since a search requests slopes where it has been."""
-        here = log_tau.tobytes()
-        if here not in kept:
-            kept.clear()
+        key = log_tau.tobytes()
+        if key not in factors_by_key:
+            factors_by_key.clear()
             basis = _basis(time_s, log_tau)
-            kept[here] = (basis, *np.linalg.qr(_subtract_means(basis)))
-        return kept[here]
+            factors_by_key[key] = (basis, *np.linalg.qr(_subtract_means(basis)))
+        return factors_by_key[key]
 
     def residual(log_tau: Array) -> Array:
         _, q, _ = factors(log_tau)
-        left: Array = y - q @ (q.T @ y)
-        return left
+        remainder: Array = y - q @ (q.T @ y)
+        return remainder
 
     def jacobian(log_tau: Array) -> Array:
         basis, q, r = factors(log_tau)
@@ -128,11 +129,11 @@ def _search(
     Not scipy's ``least_squares``: a run has a hundred traces, and for one to three parameters it takes two to three
     times as long.
     """
-    left, damping = residual(place), _DAMPING
-    square = float(left @ left)
+    residuals, damping = residual(place), _DAMPING
+    square = float(residuals @ residuals)
     for _ in range(_STEPS):
         slope = jacobian(place)
-        downhill = -(slope.T @ left)
+        downhill = -(slope.T @ residuals)
         # Parameters held by a bound do not take part.
         free = np.where(downhill > 0, place < bounds[1], place > bounds[0])
         normal, downhill = (slope.T @ slope) * free * free[:, None], downhill * free
@@ -144,13 +145,13 @@ def _search(
             if not expected > least * square:
                 return place
             aim = np.clip(place + step, *bounds)
-            after = residual(aim)
-            gain = square - float(after @ after)
+            aim_residuals = residual(aim)
+            gain = square - float(aim_residuals @ aim_residuals)
             if gain > 0:
                 damping *= max(1 / 3, 1 - (2 * gain / expected - 1) ** 3)
             else:
                 damping, growth = damping * growth, 2 * growth
-        place, left, square = aim, after, square - gain
+        place, residuals, square = aim, aim_residuals, square - gain
     return place
 
 
@@ -158,14 +159,14 @@ def _polish(
     residual: Callable[[Array], Array], jacobian: Callable[[Array], Array], place: Array, bounds: Bounds
 ) -> Array:
     """Continue from the end of a search by plain Gauss–Newton steps while they gain."""
-    left = residual(place)
+    residuals = residual(place)
     for _ in range(_POLISHING):
-        step = np.linalg.lstsq(jacobian(place), -left, rcond=None)[0]
+        step = np.linalg.lstsq(jacobian(place), -residuals, rcond=None)[0]
         aim = np.clip(place + step, *bounds)
-        after = residual(aim)
-        if not after @ after < left @ left:
+        aim_residuals = residual(aim)
+        if not aim_residuals @ aim_residuals < residuals @ residuals:
             break
-        place, left = aim, after
+        place, residuals = aim, aim_residuals
     return place
 
 
@@ -179,15 +180,15 @@ def chance_of_gain(before: Array, after: Array, parameters: int, added: int) -> 
     added : number added.
     """
     tiny = float(np.finfo(np.float64).tiny)
-    left = after - after.mean()
-    lag = float(left[1:] @ left[:-1] / max(float(left @ left), tiny))
+    centred = after - after.mean()
+    lag = float(centred[1:] @ centred[:-1] / max(float(centred @ centred), tiny))
     memory = min(max(lag, 0.0), 0.99)
     # At least one degree: a fit that removes all but a ten-thousandth of the rest is accepted even if its residual is
     # smooth, as without noise but that of the search.
-    spare = max(len(left) * (1 - memory) / (1 + memory) - parameters, 1.0)
+    freedom = max(len(centred) * (1 - memory) / (1 + memory) - parameters, 1.0)
     square = float(after @ after)
     gain = (float(before @ before) - square) / added
-    return float(fdtrc(added, spare, max(gain, 0.0) * spare / max(square, tiny)))
+    return float(fdtrc(added, freedom, max(gain, 0.0) * freedom / max(square, tiny)))
 
 
 def _basis(time_s: Array, log_tau: Array) -> Array:
@@ -217,13 +218,13 @@ def _starts(time_s: Array, values: Array, count: int, bounds: tuple[float, float
     grid = np.linspace(*bounds, _GRID + 2)[1:-1]
     basis = _subtract_means(_basis(time_s, grid))
     basis = basis / np.maximum(np.linalg.norm(basis, axis=0), np.finfo(float).tiny)
-    first = basis.T @ values
+    projections = basis.T @ values
     if count == 1:
-        return [grid[[index]] for index in np.argsort(-(first**2))[:_STARTS]]
+        return [grid[[index]] for index in np.argsort(-(projections**2))[:_STARTS]]
     # Second columns made orthogonal to the first, so that their explained sums add.
     overlap = basis.T @ basis
-    left = np.maximum(1 - overlap**2, 1e-9)
-    gain = first[:, None] ** 2 + (first[None, :] - overlap * first[:, None]) ** 2 / left
+    orthogonal_share = np.maximum(1 - overlap**2, 1e-9)
+    gain = projections[:, None] ** 2 + (projections[None, :] - overlap * projections[:, None]) ** 2 / orthogonal_share
     gain[np.tril_indices(_GRID)] = -np.inf
     best = np.argsort(-gain, axis=None)[: _STARTS * 8 : 8]
     return [grid[list(np.unravel_index(int(index), gain.shape))] for index in best]

@@ -28,7 +28,7 @@ def settling_time(
 
     Parameters
     ----------
-    fit : of a change from before the load; t = 0 is the end of the ramp.
+    fit : fit of a change from before the load; t = 0 is the end of the ramp.
     window_s : observed time from t = 0 [s].
     tolerance : half width of the band as a fraction (the paper's 15 %).
     band : ``"steady"``: of the steady change from before the load, as in the paper; ``"step"``: of G(0) − a₀.
@@ -48,9 +48,9 @@ def settling_time(
         return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
     steady = fit.offset if loaded_change is None else loaded_change
     half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
-    late = _why_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
-    if late:
-        return SettlingTime(window_s, True, half_width, late)
+    why_late = _why_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
+    if why_late:
+        return SettlingTime(window_s, True, half_width, why_late)
     if fit.status is FitStatus.FLAT:
         return SettlingTime(start_s, False, half_width, "inside the band from the start")
     if half_width == 0:
@@ -89,9 +89,9 @@ def estimate_restricted_mean(times_s: Sequence[float], censored: Sequence[bool])
         alive -= share[index]
     share[-1] += alive  # survivors of the longest time count as that
     # About the shortest and then about the mean, so that a small spread of long times keeps its digits.
-    after = edges - edges[0]
-    mean = float(share @ after)
-    return float(edges[0]) + mean, float(np.sqrt(share @ (after - mean) ** 2))
+    elapsed_s = edges - edges[0]
+    mean = float(share @ elapsed_s)
+    return float(edges[0]) + mean, float(np.sqrt(share @ (elapsed_s - mean) ** 2))
 
 
 def _check(window_s: float, tolerance: float, band: str) -> None:
@@ -105,13 +105,13 @@ def _why_late(fit: RelaxationFit, half_width: float, window_s: float, unloading:
     """Why a trace has not settled by its window's end; empty if it has."""
     if fit.status is FitStatus.DRIFTING:
         return fit.why
-    late = f"not settled within {window_s:.4g} s"
+    message = f"not settled within {window_s:.4g} s"
     if unloading is not None:
         change, tolerance = unloading
-        left = abs(fit.offset + _deviation(fit, window_s))
-        if left > tolerance * abs(change) > 0:
-            return f"{late}: {left / abs(change):.0%} of the change under load is left"
-    return late if abs(_deviation(fit, window_s)) > half_width > 0 else ""
+        remaining_change = abs(fit.offset + _deviation(fit, window_s))
+        if remaining_change > tolerance * abs(change) > 0:
+            return f"{message}: {remaining_change / abs(change):.0%} of the change under load is left"
+    return message if abs(_deviation(fit, window_s)) > half_width > 0 else ""
 
 
 def _deviation(fit: RelaxationFit, time_s: float) -> float:
@@ -127,11 +127,11 @@ def _last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: 
     def excess(time_s: float) -> float:
         return abs(_deviation(fit, time_s)) - half_width
 
-    inside = end_s
+    inside_s = end_s
     for edge in [*sorted((t for t in _turning_points(fit) if start_s < t < end_s), reverse=True), start_s]:
         if excess(edge) > 0:
-            return float(brentq(excess, edge, inside, xtol=1e-12, rtol=1e-12))
-        inside = edge
+            return float(brentq(excess, edge, inside_s, xtol=1e-12, rtol=1e-12))
+        inside_s = edge
     return start_s
 
 
@@ -139,12 +139,15 @@ def _turning_points(fit: RelaxationFit) -> list[float]:
     """Times where the deviation is zero or extreme."""
     if len(fit.amplitudes) < 2 or fit.amplitudes[0] * fit.amplitudes[1] >= 0:
         return []
-    (fast, slow), (first, second) = fit.amplitudes, fit.time_constants_s
-    if first == second:
+    (fast_amplitude, slow_amplitude), (fast_s, slow_s) = fit.amplitudes, fit.time_constants_s
+    if fast_s == slow_s:
         return []  # a single exponential after all
     # Difference of the time constants, not of the rates: exact for nearly equal ones.
-    per_rate = first * second / (second - first)
-    return [float(np.log(-fast / slow) * per_rate), float(np.log(-fast * second / (slow * first)) * per_rate)]
+    per_rate = fast_s * slow_s / (slow_s - fast_s)
+    return [
+        float(np.log(-fast_amplitude / slow_amplitude) * per_rate),
+        float(np.log(-fast_amplitude * slow_s / (slow_amplitude * fast_s)) * per_rate),
+    ]
 
 
 #: A deviation counts if it is this many noise standard deviations, or this share of the largest, from the end level.
@@ -161,16 +164,16 @@ def relaxation_start(values: Array) -> int:
     count = len(values)
     if count < 4:
         return 0
-    away = values - np.median(values[-(count // 4) :])
-    early = away[: (count + 1) // 2]
+    deviation = values - np.median(values[-(count // 4) :])
+    early_deviation = deviation[: (count + 1) // 2]
     # Differences of neighbours show the noise and hardly the relaxation; the spike does not affect their median.
-    noise = 1.4826 * float(np.median(np.abs(np.diff(away[count // 2 :])))) / np.sqrt(2)
-    clear = np.abs(early) > max(_CLEAR * noise, _SHARE * float(np.abs(early).max()))
-    if not clear.any():
+    noise = 1.4826 * float(np.median(np.abs(np.diff(deviation[count // 2 :])))) / np.sqrt(2)
+    clear_mask = np.abs(early_deviation) > max(_CLEAR * noise, _SHARE * float(np.abs(early_deviation).max()))
+    if not clear_mask.any():
         return 0
-    signs = np.where(clear, np.sign(early), 0)
-    last = signs[np.flatnonzero(clear)[-1]]
+    signs = np.where(clear_mask, np.sign(early_deviation), 0)
+    last = signs[np.flatnonzero(clear_mask)[-1]]
     opposite = np.flatnonzero(signs == -last)
     begin = int(opposite[-1]) + 1 if opposite.size else 0
-    peak = begin + int(np.argmax(np.abs(early[begin:])))
+    peak = begin + int(np.argmax(np.abs(early_deviation[begin:])))
     return 0 if peak == 0 else peak + 1

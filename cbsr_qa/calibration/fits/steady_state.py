@@ -35,15 +35,15 @@ def predict_steady(
     """Predict the end of holds or releases from their observed part.
 
     Bayesian linear regression of the steady change A and its weights A w, with the kernel as prior of the weights and
-    no prior of A; the kernel's own uncertainty enters to first order. For a release it is the residue R that has no
-    prior. Once settled, the result is the noise-weighted mean.
+    no prior of A; the kernel's own uncertainty enters to first order. For a release, the residue R has no prior. Once
+    settled, the result is the noise-weighted mean.
 
     Parameters
     ----------
     time_s : (n,) or (m, n) from the end of the ramp [s]; frames before ``kernel.start_s`` are ignored.
     values : (n,) or (m, n) of m traces.
     noise : standard deviation of a value; broadcast with ``values``.
-    ramp_s, frame_s : as in :func:`learn_kernel`; ``ramp_s`` may be (m,).
+    ramp_s, frame_s : arguments of :func:`learn_kernel`; ``ramp_s`` may be (m,).
     released, released_stderr : D and its standard error, for a kernel of unloadings; may be (m,).
     at_s : predict the change at this time after the ramp's end instead, e.g. when a rest is over.
 
@@ -56,10 +56,10 @@ def predict_steady(
     values = np.atleast_2d(np.asarray(values, dtype=np.float64))
     time_s = np.broadcast_to(np.asarray(time_s, dtype=np.float64), values.shape)
     noise = np.broadcast_to(np.asarray(noise, dtype=np.float64), values.shape)
-    seen = HoldsSoFar(kernel, len(values), ramp_s=ramp_s, frame_s=frame_s)
+    holds = HoldsSoFar(kernel, len(values), ramp_s=ramp_s, frame_s=frame_s)
     for frame in range(values.shape[1]):
-        seen.add(time_s[:, frame], values[:, frame], noise[:, frame])
-    return seen.predict(released=released, released_stderr=released_stderr, at_s=at_s)
+        holds.add(time_s[:, frame], values[:, frame], noise[:, frame])
+    return holds.predict(released=released, released_stderr=released_stderr, at_s=at_s)
 
 
 def interval(prediction: SteadyPrediction, level: float) -> tuple[Array, Array]:
@@ -81,12 +81,12 @@ def event_rate_per_min(
     ----------
     loading_s, unloading_s : settling times.
     held, rested : waiting times relative to them; 1.5 each without transient compensation (paper 4.3.2), less with.
-    ramp_s : of one press, and of one release.
+    ramp_s : duration of one press, and of one release.
     """
-    parts = (loading_s, unloading_s, held, rested, ramp_s)
+    numbers = (loading_s, unloading_s, held, rested, ramp_s)
     period_s = held * loading_s + rested * unloading_s + 2 * ramp_s
-    if not (all(np.isfinite(part) and part >= 0 for part in parts) and period_s > 0):
-        raise NumericsError(f"times that give no event rate: {', '.join(f'{part:g}' for part in parts)}")
+    if not (all(np.isfinite(number) and number >= 0 for number in numbers) and period_s > 0):
+        raise NumericsError(f"times that give no event rate: {', '.join(f'{number:g}' for number in numbers)}")
     return 60 / period_s
 
 
@@ -97,7 +97,7 @@ class HoldsSoFar:
 
     Parameters
     ----------
-    kernel, ramp_s, frame_s : as in :func:`predict_steady`.
+    kernel, ramp_s, frame_s : arguments of :func:`predict_steady`.
     count : m.
     """
 
@@ -115,7 +115,7 @@ class HoldsSoFar:
         # All rows and values as the triangle of their QR: sums of squares would keep half of the digits.
         self._triangle = np.zeros((count, 3 + self._root.shape[1], 3 + self._root.shape[1]))
         self._frames = np.zeros(count, dtype=np.int64)
-        #: What :meth:`_predict_from_holds` regressed, up to the last frame, whatever the time that is predicted.
+        #: Regression of :meth:`_predict_from_holds` up to the last frame; it serves any time that is predicted.
         self._regression: tuple[Array, tuple[Array, Array, Array]] | None = None
 
     def add(self, time_s: float | Array, values: float | Array, noise: float | Array) -> Self:
@@ -170,26 +170,26 @@ class HoldsSoFar:
 
     def _predict_from_holds(self, at_s: float) -> SteadyPrediction:
         """The prior of A w scales with A, so A is predicted iteratively."""
-        none = np.zeros(self._frames.shape)
+        zeros = np.zeros(self._frames.shape)
         if self._regression is None:
             level = self._triangle[:, :, 0] + self._triangle[:, :, 1]
             size = (level * self._triangle[:, :, -1]).sum(axis=1) / (level**2).sum(axis=1)
             for _ in range(_ROUNDS):
-                unknown = self._unknown(1.0, size, none)
-                regressed = self._regress(unknown, none)
+                unknown = self._unknown(1.0, size, zeros)
+                regressed = self._regress(unknown, zeros)
                 size = regressed[1][:, 0]
             self._regression = unknown, regressed
         unknown, regressed = self._regression
-        return self._predict(unknown, none, self._rows(np.full(none.shape, at_s)), regressed)
+        return self._predict(unknown, zeros, self._rows(np.full(zeros.shape, at_s)), regressed)
 
     def _rows(self, time_s: Array) -> Array:
         """(m, 2 + 3 k): one, the kernel's transient, and its changes by unit normals of the kernel's uncertainty."""
         if not len(self._kernel.weights):
             return np.concatenate([np.ones((len(time_s), 1)), np.zeros((len(time_s), 1))], axis=1)
-        late = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
-        parts = np.where(late < _OVER, np.exp(-late) * self._share, 0.0)
+        lateness = np.minimum(time_s[:, None] / self._kernel.time_constants_s, _OVER)
+        parts = np.where(lateness < _OVER, np.exp(-lateness) * self._share, 0.0)
         weighted = parts * self._kernel.weights
-        slopes = np.concatenate([parts, weighted * (late - self._slope)], axis=1)
+        slopes = np.concatenate([parts, weighted * (lateness - self._slope)], axis=1)
         level = np.ones((len(time_s), 1))
         return np.concatenate([level, weighted.sum(axis=1, keepdims=True), slopes @ self._root], axis=1)
 
@@ -202,42 +202,42 @@ class HoldsSoFar:
         count = self._root.shape[1]
         unknown = np.zeros((len(size), 2 + count, 2 + count))
         unknown[:, 0, 0], unknown[:, 1, 0] = 1.0, transient
-        every = np.arange(count)
-        unknown[:, 2 + every, 1 + every] = size[:, None]
+        indices = np.arange(count)
+        unknown[:, 2 + indices, 1 + indices] = size[:, None]
         unknown[:, 1, -1] = stderr
         return unknown
 
     def _regress(self, unknown: Array, known: Array) -> tuple[Array, Array, Array]:
         """Root L (m, u, u) of the unknowns' covariance L Lᵀ, their values (m, u), and χ² (m,) with their prior's."""
         rows = self._triangle[:, :, :-1] @ unknown
-        left = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
+        residual_data = self._triangle[:, :, -1] - known[:, None] * self._triangle[:, :, 1]
         prior = np.broadcast_to(
             np.eye(unknown.shape[2] + 1)[1:-1], (len(rows), unknown.shape[2] - 1, rows.shape[2] + 1)
         )
-        every = np.concatenate([np.concatenate([rows, left[:, :, None]], axis=2), prior], axis=1)
-        triangle = _triangle(every)
+        augmented = np.concatenate([np.concatenate([rows, residual_data[:, :, None]], axis=2), prior], axis=1)
+        triangle = _triangle(augmented)
         root = np.asarray(np.linalg.inv(triangle[:, :-1, :-1]), dtype=np.float64)
         return root, (root @ triangle[:, :-1, -1:])[:, :, 0], triangle[:, -1, -1] ** 2
 
     def _predict(
         self, unknown: Array, known: Array, wanted: Array, regressed: tuple[Array, Array, Array]
     ) -> SteadyPrediction:
-        root, solution, left = regressed
-        along = (wanted[:, None, :] @ unknown)[:, 0]
-        parts = (along[:, None, :] @ root)[:, 0]
-        errors = (root @ parts[:, :, None])[:, :, 0]
-        variance = np.maximum((parts**2).sum(axis=1), np.finfo(np.float64).tiny)
+        root, solution, chi_squared = regressed
+        wanted_row = (wanted[:, None, :] @ unknown)[:, 0]
+        error_parts = (wanted_row[:, None, :] @ root)[:, 0]
+        errors = (root @ error_parts[:, :, None])[:, :, 0]
+        variance = np.maximum((error_parts**2).sum(axis=1), np.finfo(np.float64).tiny)
         # The error is −errors · (unit normals) + noise; the mean over loads is as uncertain as their scatter.
         scatter = slice(1 + 2 * len(self._kernel.weights), -1)
-        of_scatter = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
-        share = np.clip(of_scatter / variance, 1e-6, 1.0)
-        spare = self._frames - 1
+        scatter_variance = (errors[:, scatter] ** 2).sum(axis=1) * (1 + 1 / self._kernel.loads)
+        share = np.clip(scatter_variance / variance, 1e-6, 1.0)
+        freedom = self._frames - 1
         return SteadyPrediction(
-            (along * solution).sum(axis=1) + known * wanted[:, 1],
+            (wanted_row * solution).sum(axis=1) + known * wanted[:, 1],
             np.sqrt(variance),
             self._kernel.scatter_freedom / share**2,
-            np.where(spare > 0, left / np.maximum(spare, 1), 0.0),
-            spare,
+            np.where(freedom > 0, chi_squared / np.maximum(freedom, 1), 0.0),
+            freedom,
         )
 
 
@@ -249,5 +249,5 @@ def _triangle(rows: Array) -> Array:
 def _root(kernel: RelaxationKernel) -> Array:
     """A factor L (2 k, 3 k) of a new load's covariance L Lᵀ; its last k columns are the scatter's."""
     values, vectors = np.linalg.eigh(kernel.covariance)
-    between = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
-    return np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), between], axis=1)
+    scatter_root = np.vstack([np.diag(kernel.scatter), np.zeros((len(kernel.weights),) * 2)])
+    return np.concatenate([vectors * np.sqrt(np.maximum(values, 0.0)), scatter_root], axis=1)

@@ -32,8 +32,8 @@ class StepTrace:
     Parameters
     ----------
     start_s : end of the ramp, on the run's clock.
-    loading : whether the head pressed harder.
-    time_s, values : (n,) float64, from the end of the ramp.
+    loading : True if the head pressed harder.
+    time_s, values : (n,) float64 times and values, from the end of the ramp.
     skipped : number of ignored first samples (an unloading spike).
     """
 
@@ -50,9 +50,9 @@ class SeparatedSteps:
 
     Parameters
     ----------
-    traces : (time_s, values) of each, without residues and without skipped samples.
+    traces : (time_s, values) of each step, without residues and without skipped samples.
     levels, level_stderr : (n,) final level of each after relaxation.
-    amplitudes : of each, one for each time constant of its direction, at the end of its ramp.
+    amplitudes : amplitudes of each step at the end of its ramp, one for each time constant of its direction.
     common : the relaxation of each existing direction (True: loading).
     """
 
@@ -70,22 +70,22 @@ def separate_steps(steps: Sequence[StepTrace]) -> SeparatedSteps:
 
     Parameters
     ----------
-    steps : in order of time; together they cover the whole history.
+    steps : steps in order of time; together they cover the whole history.
 
     Returns
     -------
     SeparatedSteps. If a direction has no exponential, a step's level is the mean of its last quarter.
     """
     traces: tuple[TimedValues, ...] = tuple((s.time_s[s.skipped :], s.values[s.skipped :]) for s in steps)
-    common = _fit_directions(steps, traces)
+    common_fits = _fit_directions(steps, traces)
     for _ in range(_PASSES):
-        traces = _subtract_residues(steps, constants_of(common))
+        traces = _subtract_residues(steps, constants_of(common_fits))
         refitted = _fit_directions(steps, traces)
-        settled = _alike(common, refitted)
-        common = refitted
+        settled = _alike(common_fits, refitted)
+        common_fits = refitted
         if settled:
             break
-    return separate_with_constants(steps, common, constants_of(common))
+    return separate_with_constants(steps, common_fits, constants_of(common_fits))
 
 
 def separate_with_constants(
@@ -105,16 +105,16 @@ def separate_with_constants(
 
 def shift_constants(common: dict[bool, CommonRelaxation]) -> list[dict[bool, Array]]:
     """Move time constants by one standard error along each of their independent directions, one set each."""
-    plain = constants_of(common)
-    moved = []
+    constants = constants_of(common)
+    shifted_constants = []
     for loading, fit in common.items():
-        count = len(plain[loading])
+        count = len(constants[loading])
         block = fit.covariance[1 + count :, 1 + count :]
         size, direction = np.linalg.eigh(block) if count else (np.zeros(0), np.zeros((0, 0)))
         for k in range(count):
             shift = np.sqrt(max(float(size[k]), 0.0)) * direction[:, k]
-            moved.append({**plain, loading: plain[loading] * np.exp(np.clip(shift, -0.5, 0.5))})
-    return moved
+            shifted_constants.append({**constants, loading: constants[loading] * np.exp(np.clip(shift, -0.5, 0.5))})
+    return shifted_constants
 
 
 def constants_of(common: dict[bool, CommonRelaxation]) -> dict[bool, Array]:
@@ -142,9 +142,9 @@ def _subtract_residues(steps: Sequence[StepTrace], constants_s: dict[bool, Array
         time_s = step.time_s[step.skipped :]
         values = step.values[step.skipped :] - np.exp(-time_s[:, None] / every_s) @ carried
         traces.append((time_s, values))
-        own = constants_s[step.loading]
-        place = slice(0, len(own)) if step.loading else slice(len(every_s) - len(own), None)
-        carried[place] += fit_step((time_s, values), own)[0][1:]
+        own_constants_s = constants_s[step.loading]
+        place = slice(0, len(own_constants_s)) if step.loading else slice(len(every_s) - len(own_constants_s), None)
+        carried[place] += fit_step((time_s, values), own_constants_s)[0][1:]
     return tuple(traces)
 
 
@@ -155,12 +155,12 @@ def fit_step(trace: TimedValues, constants_s: Array) -> tuple[Array, float]:
 
     NumericsError if a time or value is not finite.
     """
-    time_s, values = (finite_numbers(part, "times or values of a step") for part in trace)
+    time_s, values = (finite_numbers(numbers, "times or values of a step") for numbers in trace)
     if not len(constants_s) or len(values) < len(constants_s) + 2:
-        last = values[-max(len(values) // 4, 1) :]
-        spread = float(last.std(ddof=1)) if len(last) > 1 else 0.0
-        level = float(last.mean()) if len(last) else 0.0
-        return np.concatenate([[level], np.zeros(len(constants_s))]), spread / max(len(last), 1) ** 0.5
+        last_quarter = values[-max(len(values) // 4, 1) :]
+        spread = float(last_quarter.std(ddof=1)) if len(last_quarter) > 1 else 0.0
+        level = float(last_quarter.mean()) if len(last_quarter) else 0.0
+        return np.concatenate([[level], np.zeros(len(constants_s))]), spread / max(len(last_quarter), 1) ** 0.5
     design = np.column_stack([np.ones_like(time_s), np.exp(-time_s[:, None] / constants_s)])
     inverse = np.linalg.pinv(design)
     coefficients = inverse @ values
@@ -179,7 +179,7 @@ def _alike(before: dict[bool, CommonRelaxation], after: dict[bool, CommonRelaxat
 
 #: Fewest values of a hold that determine a level, an amplitude and a scatter.
 _FEWEST: Final = 6
-#: Longer holds are averaged into so many values: load cells sample fast.
+#: Largest number of values of a hold; longer holds are averaged into so many, since load cells sample fast.
 _MOST: Final = 60
 #: Default time constant, as a share of the hold, if noise hides it: a hidden relaxation decays neither at once nor
 #: beyond the hold, and its amplitude stays free.
@@ -193,7 +193,7 @@ class Levels:
     Parameters
     ----------
     values : (loops, strains) float64, in the quantity's unit.
-    errors : (causes, loops, strains), effect of one standard error of each independent cause.
+    errors : (causes, loops, strains) effect of one standard error of each independent cause.
     """
 
     values: Array
@@ -213,13 +213,13 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
     _check_finite(trace)
     values, errors = [], []
     for loop in loops:
-        for held in loop.held:
-            last = trace.values[(trace.time_s >= held.end_s - last_s) & (trace.time_s < held.end_s)]
-            if not len(last):
+        for hold in loop.held:
+            last_values = trace.values[(trace.time_s >= hold.end_s - last_s) & (trace.time_s < hold.end_s)]
+            if not len(last_values):
                 raise NumericsError(f"nothing was read in the last {last_s:.3g} s of a hold")
-            spread = (float(last.std(ddof=1)) if len(last) > 1 else 0.0) if noise is None else noise
-            values.append(float(last.mean()))
-            errors.append(spread / len(last) ** 0.5)
+            spread = (float(last_values.std(ddof=1)) if len(last_values) > 1 else 0.0) if noise is None else noise
+            values.append(float(last_values.mean()))
+            errors.append(spread / len(last_values) ** 0.5)
     return Levels(np.reshape(values, (len(loops), -1)), _apart(np.reshape(errors, (len(loops), -1))))
 
 
@@ -237,9 +237,9 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
 
     Parameters
     ----------
-    loops : in time order, pressed at one place.
-    trace : on the run's clock.
-    rests : whether the trace continues after the release (a stress does not).
+    loops : loops in order of time, pressed at one place.
+    trace : trace on the run's clock.
+    rests : True if the trace continues after the release (a stress does not).
 
     Raises
     ------
@@ -255,36 +255,44 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
             remedy="hold each strain longer; 60 s and more",
         )
     separated = separate_steps(steps)
-    for loading, common in separated.common.items():
-        if common.fit.status is FitStatus.DRIFTING:
+    for loading, relaxation in separated.common.items():
+        if relaxation.fit.status is FitStatus.DRIFTING:
             way = "up" if loading else "down"
             raise NumericsError(
-                f"creep cannot be separated from hysteresis: on the way {way} the {trace.name} is {common.fit.why}",
+                f"creep cannot be separated from hysteresis: on the way {way} the"
+                f" {trace.name} is {relaxation.fit.why}",
                 remedy="hold each strain longer",
             )
     held_s = float(np.median([step.time_s[-1] for step in steps]))
-    known = constants_of(separated.common)
+    fitted_constants = constants_of(separated.common)
     unseen = np.array([_UNSEEN * held_s])
-    constants = {way: next((c for c in (known[way], known[not way]) if len(c)), unseen) for way in (True, False)}
-    plain = separate_with_constants(steps, separated.common, constants)
-    moved = [
+    constants = {
+        way: next((c for c in (fitted_constants[way], fitted_constants[not way]) if len(c)), unseen)
+        for way in (True, False)
+    }
+    final_steps = separate_with_constants(steps, separated.common, constants)
+    shifted_steps = [
         separate_with_constants(
-            steps, separated.common, {way: near[way] if len(known[way]) else constants[way] for way in near}
+            steps,
+            separated.common,
+            {way: shifted[way] if len(fitted_constants[way]) else constants[way] for way in shifted},
         )
-        for near in shift_constants(separated.common)
+        for shifted in shift_constants(separated.common)
     ]
     width = len(loops[0].held)
-    own = _shape_levels(plain.level_stderr, len(loops), width)
-    shifts = [_shape_levels(near.levels - plain.levels, len(loops), width)[None] for near in moved]
-    return Levels(_shape_levels(plain.levels, len(loops), width), np.concatenate([_apart(own), *shifts]))
+    own_stderr = _shape_levels(final_steps.level_stderr, len(loops), width)
+    shifts = [
+        _shape_levels(shifted.levels - final_steps.levels, len(loops), width)[None] for shifted in shifted_steps
+    ]
+    return Levels(_shape_levels(final_steps.levels, len(loops), width), np.concatenate([_apart(own_stderr), *shifts]))
 
 
 def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[StepTrace]:
     for loop in loops:
-        before = 0.0
-        for held in loop.held:
-            yield _step(trace, held.start_s, held.end_s, loading=held.strain > before)
-            before = held.strain
+        strain_before = 0.0
+        for hold in loop.held:
+            yield _step(trace, hold.start_s, hold.end_s, loading=hold.strain > strain_before)
+            strain_before = hold.strain
         if rests:
             step = _step(trace, loop.unloaded_s, loop.rest_end_s, loading=False)
             start = max(step.skipped, relaxation_start(step.values))
@@ -293,8 +301,8 @@ def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[S
 
 
 def _step(trace: Trace, start_s: float, end_s: float, *, loading: bool) -> StepTrace:
-    inside = (trace.time_s >= start_s) & (trace.time_s < end_s)
-    time_s, values = trace.time_s[inside] - start_s, trace.values[inside]
+    inside_mask = (trace.time_s >= start_s) & (trace.time_s < end_s)
+    time_s, values = trace.time_s[inside_mask] - start_s, trace.values[inside_mask]
     if len(time_s) > _MOST:
         parts = np.array_split(np.arange(len(time_s)), _MOST)
         time_s, values = (np.array([samples[part].mean() for part in parts]) for samples in (time_s, values))

@@ -1,1 +1,1 @@
-"""How a sensor's readings become newtons: learning, templates, validity."""
+"""Conversion of a sensor's readings to newtons: learning, templates, validity."""

@@ -1,6 +1,6 @@
 """Faults of a front end in single frames, found against the unloaded sheet. Numpy alone.
 
-A load changes the readings of a pair of electrodes by a part of them, each by another. A pair without current, or
+A load changes each reading of a pair of electrodes by a different part of it. A pair without current, or
 without contact, reads a fraction of all its readings; a clipped front end gives several readings one and the same
 extreme value.
 """
@@ -14,18 +14,18 @@ from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.rules import DEAD_SLOPE, DEAD_SPREAD, FEWEST_OF_PAIR, SILENT_SPREAD, SOUND_SLOPE
 
-#: A pair is judged if noise is at most this share of the spread of its unloaded readings; and a silent one may spread
-#: by so many times the noise.
+#: Largest noise of a pair that is judged, as a share of the spread of its unloaded readings; and largest spread of a
+#: silent pair, in units of the noise.
 _CLEAR: Final = 0.1
 _NOISY: Final = 2.0
-#: Readings with one extreme value are clipped, if so many are that differ by so many times their noise at rest.
+#: Fewest readings with one extreme value that count as clipped, and their least range at rest, in units of the noise.
 _CLIPPED: Final = 3
 _APART: Final = 6.0
-#: With a larger share of dead pairs a frame is not of this sensor.
+#: Largest share of dead pairs in a frame of this sensor.
 _MOST: Final = 0.75
-#: A frame that lost a larger share of its readings is not read.
+#: Largest share of lost readings of a frame that is read.
 _MOST_MISSING: Final = 0.5
-#: Larger readings than this, in the largest unloaded one, are of no pair's spread, and their squares may overflow.
+#: Limit of readings, in the largest unloaded one: larger ones belong to no pair's spread, and squares may overflow.
 _LARGEST: Final = 1e6
 
 
@@ -36,7 +36,7 @@ class FrameFaults:
     Parameters
     ----------
     left_out : (n, m) bool, readings that say nothing of the sheet.
-    flags : (n,) of :class:`Flag`: ``DEAD_PAIR``, ``OPEN_ELECTRODE``, ``SATURATED`` and ``MISSING``.
+    flags : (n,) values of :class:`Flag`: ``DEAD_PAIR``, ``OPEN_ELECTRODE``, ``SATURATED`` and ``MISSING``.
     """
 
     left_out: Mask
@@ -55,31 +55,33 @@ class FaultFinder:
 
     def __init__(self, pairs: Indices, reference: Array, noise: Array) -> None:
         self._reference, self._noise = reference, noise
-        found: list[tuple[Mask, Indices, bool]] = []
-        silent: list[float] = []
+        pair_groups: list[tuple[Mask, Indices, bool]] = []
+        silent_spreads: list[float] = []
         for drives, columns in ((True, pairs[:, :2]), (False, pairs[:, 2:])):
             ends = np.sort(columns, axis=1)
             for pair in np.unique(ends, axis=0):
                 members = (ends == pair).all(axis=1)
-                spread, loud = float(reference[members].std()), float(np.sqrt((noise[members] ** 2).mean()))
-                if members.sum() >= FEWEST_OF_PAIR and loud < _CLEAR * spread:
-                    found.append((members, pair, drives))
-                    silent.append(max(SILENT_SPREAD, _NOISY * loud / spread))
-        self._silent = np.array(silent)
-        self._members: Mask = np.array([members for members, _, _ in found], dtype=np.bool_).reshape(-1, len(pairs))
-        self._electrodes: Indices = np.array([pair for _, pair, _ in found], dtype=np.int64).reshape(-1, 2)
-        self._drives: Mask = np.array([drives for *_, drives in found], dtype=np.bool_)
+                spread, pair_noise = float(reference[members].std()), float(np.sqrt((noise[members] ** 2).mean()))
+                if members.sum() >= FEWEST_OF_PAIR and pair_noise < _CLEAR * spread:
+                    pair_groups.append((members, pair, drives))
+                    silent_spreads.append(max(SILENT_SPREAD, _NOISY * pair_noise / spread))
+        self._silent = np.array(silent_spreads)
+        self._members: Mask = np.array([members for members, _, _ in pair_groups], dtype=np.bool_).reshape(
+            -1, len(pairs)
+        )
+        self._electrodes: Indices = np.array([pair for _, pair, _ in pair_groups], dtype=np.int64).reshape(-1, 2)
+        self._drives: Mask = np.array([drives for *_, drives in pair_groups], dtype=np.bool_)
         self._member: Array = self._members.T.astype(np.float64)
 
     def __call__(self, readings: Array) -> FrameFaults:
         """Find the faults of frames (n, m); in frames that lost most readings, those that are not finite count."""
-        missing: Mask = ~np.isfinite(readings)
-        readings = np.where(missing, self._reference, readings)
-        clipped = self._find_clipped(readings)
-        missing &= (missing.mean(axis=1) <= _MOST_MISSING)[:, None]
-        left_out: Mask = clipped | missing
-        flags: Indices = np.where(clipped.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
-        flags |= np.where(missing.any(axis=1), int(Flag.MISSING), 0)
+        missing_mask: Mask = ~np.isfinite(readings)
+        readings = np.where(missing_mask, self._reference, readings)
+        clipped_mask = self._find_clipped(readings)
+        missing_mask &= (missing_mask.mean(axis=1) <= _MOST_MISSING)[:, None]
+        left_out: Mask = clipped_mask | missing_mask
+        flags: Indices = np.where(clipped_mask.any(axis=1), int(Flag.SATURATED), 0).astype(np.int64)
+        flags |= np.where(missing_mask.any(axis=1), int(Flag.MISSING), 0)
         if len(self._members):
             slope, spread = self._following(readings, (~left_out).astype(np.float64))
             for frame in np.flatnonzero(((slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)).any(axis=1)).tolist():
@@ -89,55 +91,59 @@ class FaultFinder:
         return FrameFaults(left_out, flags)
 
     def _find_clipped(self, readings: Array) -> Mask:
-        """Which readings (n, m) stand at one extreme value. A pair that does so with all of its own is silent."""
-        clipped = np.zeros(readings.shape, dtype=np.bool_)
+        """Mask (n, m) of readings at one extreme value. A pair with all of its readings there is silent."""
+        clipped_mask = np.zeros(readings.shape, dtype=np.bool_)
         for extreme in (readings.max(axis=1), readings.min(axis=1)):
-            at = readings == extreme[:, None]
-            for frame in np.flatnonzero(at.sum(axis=1) >= _CLIPPED).tolist():
-                there = at[frame]
-                there &= ~self._members[(self._members <= there).all(axis=1)].any(axis=0)
-                if there.sum() >= _CLIPPED and np.ptp(self._reference[there]) > _APART * self._noise[there].max():
-                    clipped[frame] |= there
-        return clipped
+            extreme_mask = readings == extreme[:, None]
+            for frame in np.flatnonzero(extreme_mask.sum(axis=1) >= _CLIPPED).tolist():
+                frame_mask = extreme_mask[frame]
+                frame_mask &= ~self._members[(self._members <= frame_mask).all(axis=1)].any(axis=0)
+                if (
+                    frame_mask.sum() >= _CLIPPED
+                    and np.ptp(self._reference[frame_mask]) > _APART * self._noise[frame_mask].max()
+                ):
+                    clipped_mask[frame] |= frame_mask
+        return clipped_mask
 
     def _following(self, readings: Array, kept: Array) -> tuple[Array, Array]:
-        """How readings of each pair follow the unloaded ones: slope (n, pairs), and their spread over that of those.
+        """Slope (n, pairs) of each pair's readings against the unloaded ones, and the ratio of their spreads.
 
         Parameters
         ----------
-        readings, kept : (n, m), and 1 for those that count, 0 for others. Pairs without enough follow exactly.
+        readings, kept : (n, m) readings, and 1 for those that count, 0 for others. Pairs without enough follow
+            exactly.
         """
         largest = _LARGEST * float(np.abs(self._reference).max())
-        about = np.clip(readings - np.median(readings, axis=1, keepdims=True), -largest, largest) * kept
+        centred = np.clip(readings - np.median(readings, axis=1, keepdims=True), -largest, largest) * kept
         expected = self._reference * kept
         count = kept @ self._member
-        each = np.maximum(count, 1.0)
-        mean, mean_expected = about @ self._member / each, expected @ self._member / each
-        power = np.maximum(expected**2 @ self._member / each - mean_expected**2, np.finfo(np.float64).tiny)
-        slope = ((about * expected) @ self._member / each - mean * mean_expected) / power
-        spread = np.sqrt(np.maximum(about**2 @ self._member / each - mean**2, 0.0) / power)
-        enough = count >= FEWEST_OF_PAIR
-        return np.where(enough, slope, 1.0), np.where(enough, spread, 1.0)
+        divisor = np.maximum(count, 1.0)
+        mean, mean_expected = centred @ self._member / divisor, expected @ self._member / divisor
+        power = np.maximum(expected**2 @ self._member / divisor - mean_expected**2, np.finfo(np.float64).tiny)
+        slope = ((centred * expected) @ self._member / divisor - mean * mean_expected) / power
+        spread = np.sqrt(np.maximum(centred**2 @ self._member / divisor - mean**2, 0.0) / power)
+        enough_mask = count >= FEWEST_OF_PAIR
+        return np.where(enough_mask, slope, 1.0), np.where(enough_mask, spread, 1.0)
 
     def _dead(self, readings: Array, lost: Mask) -> tuple[Mask, int]:
         """Readings (m,) to be left out of a frame because of their pairs, and its flags.
 
         A dead pair takes readings from all others that it drives or measures with: the worst is taken out first.
         """
-        kept = (~lost[None]).astype(np.float64)
-        slope, spread = (each[0] for each in self._following(readings[None], kept))
-        silent: Mask = np.asarray((slope < DEAD_SLOPE) & (spread < self._silent))
-        dead = silent.copy()
+        kept_weight = (~lost[None]).astype(np.float64)
+        slope, spread = (column[0] for column in self._following(readings[None], kept_weight))
+        silent_mask: Mask = np.asarray((slope < DEAD_SLOPE) & (spread < self._silent))
+        dead_mask = silent_mask.copy()
         while True:
-            kept[0] = ~(lost | self._members[dead].any(axis=0))
-            slope, spread = (each[0] for each in self._following(readings[None], kept))
-            further = ~dead & (slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)
-            if not further.any():
+            kept_weight[0] = ~(lost | self._members[dead_mask].any(axis=0))
+            slope, spread = (column[0] for column in self._following(readings[None], kept_weight))
+            further_mask = ~dead_mask & (slope < DEAD_SLOPE) & (spread < DEAD_SPREAD)
+            if not further_mask.any():
                 break
-            dead[np.where(further, slope, np.inf).argmin()] = True
-        if dead.mean() > _MOST or np.median(slope[~dead]) < SOUND_SLOPE:
+            dead_mask[np.where(further_mask, slope, np.inf).argmin()] = True
+        if dead_mask.mean() > _MOST or np.median(slope[~dead_mask]) < SOUND_SLOPE:
             return np.zeros(len(readings), dtype=np.bool_), 0
-        return kept[0] == 0, self._flags(dead, silent)
+        return kept_weight[0] == 0, self._flags(dead_mask, silent_mask)
 
     def _flags(self, dead: Mask, silent: Mask) -> int:
         """Flags of dead and silent pairs.
@@ -145,12 +151,12 @@ class FaultFinder:
         An electrode is open if nothing comes through any pair that it drives, and those are two, or it measures with
         none either.
         """
-        explained = np.zeros_like(dead)
+        explained_mask = np.zeros_like(dead)
         for electrode in np.unique(self._electrodes[silent & self._drives]):
-            touching = (self._electrodes == electrode).any(axis=1)
-            driving = touching & self._drives
-            if silent[driving].all() and (driving.sum() > 1 or silent[touching].all()):
-                explained |= touching
-        return int(Flag.OPEN_ELECTRODE) * bool(explained.any()) | int(Flag.DEAD_PAIR) * bool(
-            (dead & ~explained).any()
+            touching_mask = (self._electrodes == electrode).any(axis=1)
+            driving_mask = touching_mask & self._drives
+            if silent[driving_mask].all() and (driving_mask.sum() > 1 or silent[touching_mask].all()):
+                explained_mask |= touching_mask
+        return int(Flag.OPEN_ELECTRODE) * bool(explained_mask.any()) | int(Flag.DEAD_PAIR) * bool(
+            (dead & ~explained_mask).any()
         )

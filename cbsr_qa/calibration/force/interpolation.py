@@ -31,8 +31,8 @@ def weights_at(part: Array) -> Array:
     powers[..., 0], powers[..., 1] = 1.0, part
     np.multiply(part, part, out=powers[..., 2])
     np.multiply(powers[..., 2], part, out=powers[..., 3])
-    both: Array = powers @ _COEFFICIENTS
-    return both.reshape(*part.shape, 2, 4)
+    weights: Array = powers @ _COEFFICIENTS
+    return weights.reshape(*part.shape, 2, 4)
 
 
 def surfaces_at(tables: Array, offset: Array) -> Array:
@@ -59,21 +59,21 @@ def stencils(node: Indices) -> Indices:
 
 def cells(lattice: Lattice, places_mm: Array) -> tuple[Indices, Array, Mask]:
     """Columns and rows (n, 2) of places' cells, offsets (n, 2) in them, and which places are on the lattice (n,)."""
-    last = np.array([lattice.columns - 2, lattice.rows - 2])
-    at = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
-    inside = np.logical_and.reduce((at >= 0) & (at <= last + 1), axis=1)  # false for NaN
-    at = np.where(inside[:, None], at, 0.0)
-    cell = np.minimum(at.astype(np.int64), last)
-    return cell, at - cell, inside
+    last_cell = np.array([lattice.columns - 2, lattice.rows - 2])
+    position = (places_mm - np.array(lattice.origin_mm)) / lattice.spacing_mm
+    inside_mask = np.logical_and.reduce((position >= 0) & (position <= last_cell + 1), axis=1)  # false for NaN
+    position = np.where(inside_mask[:, None], position, 0.0)
+    cell = np.minimum(position.astype(np.int64), last_cell)
+    return cell, position - cell, inside_mask
 
 
 def interpolate(model: ForceModel, values: Array, places_mm: Array) -> Array:
     """Values (n, …) of quantities (nodes, …) at places (n, 2), linear between nodes; NaN if a node is missing."""
-    cell, offset, inside = cells(model.lattice, places_mm)
+    cell, offset, inside_mask = cells(model.lattice, places_mm)
     part = np.stack([1 - offset, offset], axis=2)
     weights = (part[:, 1, :, None] * part[:, 0, None, :]).reshape(len(cell), 1, 4)
     node = model.node[cell[:, 1, None] + _DOWN, cell[:, 0, None] + _ACROSS]
-    missing = ~inside | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
+    missing_mask = ~inside_mask | np.logical_or.reduce((node < 0) & (weights[:, 0] != 0), axis=1)
     values_there: Array = (weights @ values.reshape(len(values), -1)[node])[:, 0]
-    values_there[missing] = np.nan
+    values_there[missing_mask] = np.nan
     return values_there.reshape(len(cell), *values.shape[1:])

@@ -22,7 +22,7 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel, Validity
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
-#: Larger strengths are limited: here the sheet conducts 200 times as well under the head.
+#: Largest strength; larger ones are limited. Here the sheet conducts 200 times as well under the head.
 _STRONGEST = 1.98
 
 
@@ -83,14 +83,14 @@ class Forces:
     flags: Indices
 
     def __repr__(self) -> str:
-        seen = self.force_N[np.isfinite(self.force_N) & (self.flags & Flag.NOT_DETECTED == 0)]
-        force = f", {seen.min():.3g} to {seen.max():.3g} N" if len(seen) else ""
+        detected_N = self.force_N[np.isfinite(self.force_N) & (self.flags & Flag.NOT_DETECTED == 0)]
+        force = f", {detected_N.min():.3g} to {detected_N.max():.3g} N" if len(detected_N) else ""
         counts = {flag.name: int(np.count_nonzero(self.flags & flag)) for flag in Flag}
         flagged = "".join(f", {name} in {count}" for name, count in counts.items() if count)
-        return f"<Forces in {len(seen)} of {len(self.force_N)} frames{force}{flagged}>"
+        return f"<Forces in {len(detected_N)} of {len(self.force_N)} frames{force}{flagged}>"
 
     def part(self, frames: slice) -> "Forces":
-        """Those of some of the frames."""
+        """Forces of some of the frames."""
         return Forces(*(getattr(self, column.name)[frames] for column in fields(Forces)))
 
     def interval_N(self, coverage: float = 0.95) -> tuple[Array, Array]:
@@ -102,15 +102,15 @@ class Forces:
 
         if not 0 < coverage < 1:
             raise ValueError(f"a coverage of {coverage} is not between 0 and 1")
-        half = float(ndtri((1 + coverage) / 2)) * self.stderr_N
-        return self.force_N - half, self.force_N + half
+        half_width_N = float(ndtri((1 + coverage) / 2)) * self.stderr_N
+        return self.force_N - half_width_N, self.force_N + half_width_N
 
 
 def join_forces(parts: Sequence[tuple[Indices, Forces]]) -> Forces:
     """Return forces of some frames each, with their numbers, in the order of the frames."""
     if len(parts) == 1:
         return parts[0][1]
-    order = np.argsort(np.concatenate([which for which, _ in parts]))
+    order = np.argsort(np.concatenate([frames for frames, _ in parts]))
     columns = ([getattr(forces, column.name) for _, forces in parts] for column in fields(Forces))
     return Forces(*(np.concatenate(values)[order] for values in columns))
 
@@ -121,12 +121,12 @@ class SeveralForces:
 
     Parameters
     ----------
-    loads : of k heads, the clearest first; inseparable heads are one entry, flagged MORE_THAN_ONE, with the sum of
-        their forces and its error at their middle.
+    loads : forces of k heads, the clearest first; inseparable heads are one entry, flagged MORE_THAN_ONE, with the
+        sum of their forces and its error at their middle.
     total_N, total_stderr_N : sum of all forces; 0 and the least detectable force without a head, NaN in unusable
         frames.
-    flags : of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE if heads were not
-        separated or there are more than searched for, SPIKE; else none.
+    flags : flags of the frame: NOT_DETECTED, UNREADABLE or OTHER_SENSOR without any head, MORE_THAN_ONE if heads were
+        not separated or there are more than searched for, SPIKE; else none.
     """
 
     loads: Forces
@@ -149,11 +149,11 @@ class ForceInverse:
 
     Parameters
     ----------
-    model : of the sensor.
+    model : force model of the sensor.
     line : α_σ [1/kPa] and β_σ with their covariance, that of the line through the calibrated stresses; shared errors
         are in the map.
-    area_mm2 : of the head.
-    tables : (nodes, 4) of the map, see :func:`map_tables`.
+    area_mm2 : area of the head.
+    tables : (nodes, 4) values of the map, see :func:`map_tables`.
     """
 
     model: ForceModel
@@ -199,13 +199,13 @@ def map_tables(model: ForceModel) -> Array:
     node, values = model.node, model.log_response
     padded = np.pad(node, 1, constant_values=-1)
     row, column = np.nonzero(node >= 0)
-    here = padded[row + 1, column + 1]
+    node_index = padded[row + 1, column + 1]
     gradient = np.zeros((len(values), 2))
     for axis, (down, across) in enumerate(((0, 1), (1, 0))):
         ahead, behind = padded[row + 1 + down, column + 1 + across], padded[row + 1 - down, column + 1 - across]
-        both = (ahead >= 0) & (behind >= 0)
+        both_mask = (ahead >= 0) & (behind >= 0)
         difference = values[ahead] - values[behind]
-        gradient[here, axis] = np.where(both, difference / (2 * model.lattice.spacing_mm), 0.0)
+        gradient[node_index, axis] = np.where(both_mask, difference / (2 * model.lattice.spacing_mm), 0.0)
     return np.column_stack([values, model.log_response_stderr, gradient])
 
 
@@ -236,8 +236,8 @@ class SizeError:
 
     Parameters
     ----------
-    model : of the sensor.
-    radius_mm : of the calibrated head.
+    model : force model of the sensor.
+    radius_mm : radius of the calibrated head.
     """
 
     def __init__(self, model: ForceModel, radius_mm: float) -> None:
@@ -249,10 +249,10 @@ class SizeError:
         if size == 1:
             return np.zeros(len(places_mm))
         lattice = self._model.lattice
-        at = (np.nan_to_num(places_mm) - np.array(lattice.origin_mm)) / lattice.spacing_mm
-        column, row = np.clip(np.rint(at), 0, [lattice.columns - 1, lattice.rows - 1]).astype(np.int64).T
-        beside = (self._radius_mm / self._clearance_mm[row, column]) ** 3
-        error: Array = (size - 1) ** 2 * (_EVERYWHERE + _BESIDE_EDGES * beside)
+        position = (np.nan_to_num(places_mm) - np.array(lattice.origin_mm)) / lattice.spacing_mm
+        column, row = np.clip(np.rint(position), 0, [lattice.columns - 1, lattice.rows - 1]).astype(np.int64).T
+        edge_term = (self._radius_mm / self._clearance_mm[row, column]) ** 3
+        error: Array = (size - 1) ** 2 * (_EVERYWHERE + _BESIDE_EDGES * edge_term)
         return error
 
     @cached_property
@@ -284,28 +284,28 @@ def forces_together(
 
     Parameters
     ----------
-    heads : strengths those of the inverse's head.
+    heads : heads of the frame, with the strengths of the inverse's head.
     unexplained : share of the frame's signal, as energy, that further heads explain, or 0.
-    nearest_mm : closer heads are not separated.
-    sign : of the response.
-    other_head : (k,) whether the error of a head's templates exceeds the allowed one.
+    nearest_mm : least distance of heads that are separated.
+    sign : sign of the response.
+    other_head : (k,) mask of heads whose templates have a larger error than is allowed.
     """
     newtons = inverse.newtons(_matches(heads))
     groups = heads.groups(nearest_mm)
-    parts = [_sum(heads, newtons, group) for group in groups]
-    force, stderr, place, place_stderr = (np.array(values) for values in zip(*parts, strict=True))
-    missing = _MISSING * np.sqrt(unexplained)
-    stderr = np.hypot(stderr, missing * np.abs(force))
+    sums = [_sum(heads, newtons, group) for group in groups]
+    force, stderr, place, place_stderr = (np.array(values) for values in zip(*sums, strict=True))
+    missing_share = _MISSING * np.sqrt(unexplained)
+    stderr = np.hypot(stderr, missing_share * np.abs(force))
     flags = range_flags(force, stderr, place, validity)
-    together = np.array([len(group) > 1 for group in groups]) | (unexplained > 0)
-    flags[together] |= Flag.MORE_THAN_ONE
+    together_mask = np.array([len(group) > 1 for group in groups]) | (unexplained > 0)
+    flags[together_mask] |= Flag.MORE_THAN_ONE
     flags[np.array([heads.strength[group].sum() * sign < 0 for group in groups])] |= Flag.WRONG_SIGN
     flags[np.array([other_head[group].any() for group in groups])] |= Flag.OTHER_HEAD
     detectability = np.array([heads.detectability[group].max() for group in groups])
     loads = Forces(force, stderr, place, place_stderr, detectability, flags)
     total, total_stderr, _, _ = _sum(heads, newtons, range(len(heads)))
-    whole = Flag.MORE_THAN_ONE if together.any() else Flag(0)
-    return SeveralForces(loads, total, float(np.hypot(total_stderr, missing * abs(total))), whole)
+    frame_flags = Flag.MORE_THAN_ONE if together_mask.any() else Flag(0)
+    return SeveralForces(loads, total, float(np.hypot(total_stderr, missing_share * abs(total))), frame_flags)
 
 
 def nothing_together(total_N: float, stderr_N: float, flags: Flag) -> SeveralForces:
@@ -322,16 +322,16 @@ def _matches(heads: Heads) -> Matches:
 
 def _sum(heads: Heads, newtons: Newtons, group: Sequence[int]) -> tuple[float, float, Array, float]:
     """Sum of some heads' forces with its error, and their force-weighted middle with its error."""
-    which = np.array(group)
-    entries = (3 * which[:, None] + np.arange(3)).ravel()
+    head_indices = np.array(group)
+    entries = (3 * head_indices[:, None] + np.arange(3)).ravel()
     covariance = heads.covariance[np.ix_(entries, entries)]
-    slope = newtons.slope[which].ravel()
-    shared = float(np.sqrt(newtons.variance[which]).sum())
+    slope = newtons.slope[head_indices].ravel()
+    shared = float(np.sqrt(newtons.variance[head_indices]).sum())
     stderr = float(np.hypot(np.sqrt(max(float(slope @ covariance @ slope), 0.0)), shared))
-    force = newtons.force[which]
+    force = newtons.force[head_indices]
     weight = np.abs(force) / np.abs(force).sum()
-    middle: Array = weight @ heads.place_mm[which]
-    spread = weight @ ((heads.place_mm[which] - middle) ** 2).sum(axis=1)
-    places = [covariance[3 * k + axis, 3 * k + axis] for k in range(len(which)) for axis in (1, 2)]
+    middle: Array = weight @ heads.place_mm[head_indices]
+    spread = weight @ ((heads.place_mm[head_indices] - middle) ** 2).sum(axis=1)
+    places = [covariance[3 * k + axis, 3 * k + axis] for k in range(len(head_indices)) for axis in (1, 2)]
     variance = weight @ np.array(places).reshape(-1, 2).sum(axis=1)
     return float(force.sum()), stderr, middle, float(np.sqrt((variance + spread) / 2))

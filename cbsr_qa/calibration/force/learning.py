@@ -37,12 +37,12 @@ class CalibrationLoads:
 
     Parameters
     ----------
-    place_mm : (n, 2).
+    place_mm : (n, 2) places of the loads.
     rows : (n, r) mean steady rows of unit noise, against the rested sheet.
     frames : (n,) number, or equivalent number, of averaged frames.
     before : (n, r) mean rows just before the press; zero without frames.
     frames_before : (n,) number of frames, may be 0.
-    force_N, force_stderr_N : (n,).
+    force_N, force_stderr_N : (n,) forces and their standard errors.
     """
 
     place_mm: Array
@@ -58,8 +58,8 @@ class CalibrationLoads:
 
     def subtract_residues(self) -> tuple[Array, Array]:
         """Rows (n, r) without residues of earlier loads, and their noise variance (n,)."""
-        there = self.frames_before > 0
-        share = np.where(there, RESIDUE_SHARE, 0.0)
+        before_mask = self.frames_before > 0
+        share = np.where(before_mask, RESIDUE_SHARE, 0.0)
         noise = 1 / self.frames + share**2 / np.maximum(self.frames_before, 1)
         return self.rows - share[:, None] * self.before, noise
 
@@ -74,8 +74,9 @@ class LearnedForce:
     response : the map, for any place.
     refused : (n,) reason for leaving a load out; empty if used.
     ratio, ratio_stderr : (n,) observed over predicted change, relative to the nominal response; NaN if left out.
-    fitted_intercept : whether the loads determine the intercept.
-    predicted : (n,) whether readings and force of a load were predicted from a hold shorter than the run's longest.
+    fitted_intercept : True if the loads determine the intercept.
+    predicted : (n,) flags of the loads whose readings and force were predicted from a hold shorter than the run's
+        longest.
     """
 
     model: ForceModel
@@ -103,35 +104,36 @@ def learn_force(
     ----------
     bank : templates of the head.
     merging : (r, m) [1/V] maps changes of used readings to rows.
-    loads : of the calibration.
+    loads : loads of the calibration.
     line : α_σ and β_σ of the material, or of this sensor; deviations from it become part of the map.
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
 
     Raises
     ------
     CalibrationError
         If fewer than three loads are usable; the message gives the reasons for the others.
     """
-    even = make_even_model(bank, merging)
-    filter_ = TemplateFilter(even)
+    even_model = make_even_model(bank, merging)
+    filter_ = TemplateFilter(even_model)
     stress = loads.force_N / head.area_mm2 * 1e3
-    seen = _match_loads(filter_, loads)
+    matches = _match_loads(filter_, loads)
     predicted = line.slope.value * stress + line.intercept.value
-    error = _relative_error(seen, loads, line, stress, predicted)
-    refused = _refusals(seen, predicted, line, stress, error)
-    used = np.array([not why for why in refused])
-    if int(used.sum()) < 3:
-        reasons = "; ".join(dict.fromkeys(why for why in refused if why)) or "there are no others"
+    error = _relative_error(matches, loads, line, stress, predicted)
+    refusals = _refusals(matches, predicted, line, stress, error)
+    used_mask = np.array([not why for why in refusals])
+    if int(used_mask.sum()) < 3:
+        reasons = "; ".join(dict.fromkeys(why for why in refusals if why)) or "there are no others"
         raise CalibrationError(
-            f"{int(used.sum())} of {len(used)} loads determine the response of the sheet; 3 are needed: {reasons}"
+            f"{int(used_mask.sum())} of {len(used_mask)} loads determine the response of the sheet; 3 are needed:"
+            f" {reasons}"
         )
-    ratio = np.full(len(used), np.nan)
-    ratio[used] = seen.contrast[used] / predicted[used]
-    bend, prior, middle = intercept_column(line, stress[used], predicted[used])
+    ratio = np.full(len(used_mask), np.nan)
+    ratio[used_mask] = matches.contrast[used_mask] / predicted[used_mask]
+    bend, prior, middle = intercept_column(line, stress[used_mask], predicted[used_mask])
     response = learn_response(
-        loads.place_mm[used],
-        np.log(ratio[used]),
-        error[used] ** 2,
+        loads.place_mm[used_mask],
+        np.log(ratio[used_mask]),
+        error[used_mask] ** 2,
         radius_mm=radius_mm,
         bend=bend,
         bend_stderr=prior,
@@ -139,17 +141,17 @@ def learn_force(
     mean, variance = response.predict(bank.places_mm)
     fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, fitted=bend is not None)
     model = replace(
-        even,
+        even_model,
         log_response=mean,
         log_response_stderr=np.sqrt(variance),
         scatter=response.scatter,
-        stress_kPa=(float(stress[used].min()), float(stress[used].max())),
-        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used), LEAST_MISFIT),
-        place_scatter_mm=_place_scatter_mm(filter_, loads, used),
-        residue_strength=_residue_strength(filter_, loads, used),
+        stress_kPa=(float(stress[used_mask].min()), float(stress[used_mask].max())),
+        misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used_mask), LEAST_MISFIT),
+        place_scatter_mm=_place_scatter_mm(filter_, loads, used_mask),
+        residue_strength=_residue_strength(filter_, loads, used_mask),
     )
     return LearnedForce(
-        model, fitted, response, refused, ratio, np.where(used, error * ratio, np.nan), bend is not None
+        model, fitted, response, refusals, ratio, np.where(used_mask, error * ratio, np.nan), bend is not None
     )
 
 
@@ -166,8 +168,8 @@ def _match_loads(filter_: TemplateFilter, loads: CalibrationLoads) -> _Seen:
     rows, noise = loads.subtract_residues()
     matches = filter_.match_at(rows, loads.place_mm)
     strength = matches.strength
-    left = filter_.match_at(loads.before, loads.place_mm).strength
-    variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * left) ** 2
+    residue = filter_.match_at(loads.before, loads.place_mm).strength
+    variance = matches.covariance[:, 0, 0] * noise + (RESIDUE_STDERR * residue) ** 2
     return _Seen(
         2 * strength / (2 - strength),
         4 / (2 - strength) ** 2 * np.sqrt(variance),
@@ -196,11 +198,11 @@ def _place_scatter_mm(filter_: TemplateFilter, loads: CalibrationLoads, used: Ma
 
 def _residue_strength(filter_: TemplateFilter, loads: CalibrationLoads, used: Mask) -> float:
     """Strength at the places of loads just before them, root mean square, less that of noise."""
-    there = used & (loads.frames_before > 0)
-    if not there.any():
+    before_mask = used & (loads.frames_before > 0)
+    if not before_mask.any():
         return 0.0
-    left = filter_.match_at(loads.before[there], loads.place_mm[there])
-    squared = left.strength**2 - left.covariance[:, 0, 0] / loads.frames_before[there]
+    residue = filter_.match_at(loads.before[before_mask], loads.place_mm[before_mask])
+    squared = residue.strength**2 - residue.covariance[:, 0, 0] / loads.frames_before[before_mask]
     return float(np.sqrt(max(float(squared.mean()), 0.0)))
 
 
@@ -241,9 +243,11 @@ def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle
-    how = "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration have the same force"
+    source = (
+        "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration have the same force"
+    )
     return QuasiStatic(
         slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
-        intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), how),
+        intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), source),
         covariance=by_slope * by_intercept * variance,
     )

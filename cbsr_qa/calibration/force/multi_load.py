@@ -15,10 +15,10 @@ import numpy as np
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.domain.numbers import Array
 
-_STEPS: Final = 25  # of scoring; it usually ends earlier
+_STEPS: Final = 25  # steps of scoring; it usually ends earlier
 _STILL: Final = 0.01  # change of the squared residuals, in units of a reading's noise, that ends it
 _LONGEST_MM: Final = 3.0  # step of a place
-_TURNS: Final = 4  # of finding one head again with the others fixed
+_TURNS: Final = 4  # rounds of finding each head again with the others fixed
 #: Initial distance between halves of a head, of the head's diameter, and number of directions.
 _APART: Final = 1.3
 _DIRECTIONS: Final = 4
@@ -32,8 +32,9 @@ class Heads:
 
     Parameters
     ----------
-    place_mm, strength : (k, 2) and (k,), the strongest in the frame first.
-    covariance : (3 k, 3 k) of (strength, x, y) of each in turn, from noise or, if larger, from the residual.
+    place_mm, strength : (k, 2) places and (k,) strengths, the strongest in the frame first.
+    covariance : (3 k, 3 k) covariance of (strength, x, y) of each in turn, from noise or, if larger, from the
+        residual.
     gain : decrease of the squared residuals.
     left : remaining squared residuals over their mean for noise.
     detectability : (k,) strength over its standard error, the places given: the square root of what each adds.
@@ -55,36 +56,39 @@ class Heads:
         for other in range(len(self)):
             for first in range(other):
                 if not self._apart(first, other, nearest_mm):
-                    mine, theirs = (next(g for g in groups if n in g) for n in (first, other))
-                    if mine is not theirs:
-                        mine += theirs
-                        groups.remove(theirs)
+                    first_group, other_group = (next(g for g in groups if n in g) for n in (first, other))
+                    if first_group is not other_group:
+                        first_group += other_group
+                        groups.remove(other_group)
         return [sorted(group) for group in groups]
 
     def _apart(self, first: int, other: int, nearest_mm: float) -> bool:
         deviation = np.sqrt(np.diag(self.covariance).reshape(-1, 3)[[first, other], 0])
         if (np.abs(self.strength[[first, other]]) < _RESOLVED * deviation).any():
             return False
-        way = self.place_mm[first] - self.place_mm[other]
-        distance = float(np.hypot(*way))
-        along = np.zeros(len(self.covariance))
-        along[3 * first + 1 : 3 * first + 3], along[3 * other + 1 : 3 * other + 3] = way, -way
-        error = float(np.sqrt(max(float(along @ self.covariance @ along), 0.0))) / max(distance, 1e-9)
+        displacement_mm = self.place_mm[first] - self.place_mm[other]
+        distance = float(np.hypot(*displacement_mm))
+        direction = np.zeros(len(self.covariance))
+        direction[3 * first + 1 : 3 * first + 3], direction[3 * other + 1 : 3 * other + 3] = (
+            displacement_mm,
+            -displacement_mm,
+        )
+        error = float(np.sqrt(max(float(direction @ self.covariance @ direction), 0.0))) / max(distance, 1e-9)
         return distance > _RESOLVED * error and distance + error > nearest_mm
 
     def times(self, factor: float) -> Self:
-        """The same with strengths in another unit."""
+        """Heads with strengths in another unit."""
         scale = np.tile([factor, 1.0, 1.0], len(self))
         return replace(self, strength=factor * self.strength, covariance=self.covariance * scale[:, None] * scale)
 
     def unsure(self, error: Array) -> Self:
-        """The same with additional relative errors (k,) of strengths."""
+        """Heads with additional relative errors (k,) of strengths."""
         variance = np.zeros((len(self), 3))
         variance[:, 0] = (error * self.strength) ** 2
         return replace(self, covariance=self.covariance + np.diag(variance.ravel()))
 
     def add_scatter(self, size_slope: Array, scatter_mm: float) -> Self:
-        """The same with additional scatter of places beyond noise, as by ``scattered`` for one head."""
+        """Heads with additional scatter of places beyond noise, as by ``scattered`` for one head."""
         covariance = self.covariance.copy()
         for k, slope in enumerate(size_slope):
             towards = np.vstack([-self.strength[k] * slope, np.eye(2)])
@@ -92,7 +96,7 @@ class Heads:
         return replace(self, covariance=covariance)
 
     def sort_by_detectability(self) -> Self:
-        """The same, the most detectable first."""
+        """Heads, the most detectable first."""
         order = np.argsort(-self.detectability)
         entries = (3 * order[:, None] + np.arange(3)).ravel()
         return replace(
@@ -109,10 +113,10 @@ class HeadCounter:
 
     Parameters
     ----------
-    templates : of the head; all heads are alike.
+    templates : filter with the templates of the head; all heads are alike.
     threshold : detectability above which a head is not noise.
     misfit : share of a frame's signal, as energy, that a further template may explain without a further head.
-    diameter_mm : of the head.
+    diameter_mm : diameter of the head.
     """
 
     def __init__(self, templates: TemplateFilter, *, threshold: float, misfit: float, diameter_mm: float) -> None:
@@ -127,7 +131,7 @@ class HeadCounter:
         Parameters
         ----------
         first_mm : (2,) place of a single head.
-        at_most : most heads searched for.
+        at_most : largest number of heads that are searched for.
 
         Returns
         -------
@@ -137,101 +141,114 @@ class HeadCounter:
         if heads is None or heads.gain < self._least:
             return None, 0.0
         while True:
-            further = self._with_another(rows, heads)
-            if further is None or further.gain - heads.gain < self._least + self._misfit * heads.gain:
+            more_heads = self._with_another(rows, heads)
+            if more_heads is None or more_heads.gain - heads.gain < self._least + self._misfit * heads.gain:
                 return heads.sort_by_detectability(), 0.0
             if len(heads) >= at_most:
                 return heads.sort_by_detectability(), float(rows @ rows) / heads.gain - 1
-            heads = further
+            heads = more_heads
 
     def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
         """The best fit with one more head, from several starts."""
-        beside = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
-        starts = [beside, self._place_in_turn(rows, beside)]
+        with_best = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
+        starts = [with_best, self._place_in_turn(rows, with_best)]
         angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
         for number in range(len(heads)):
-            apart = [self._take_apart(heads.place_mm, number, angle) for angle in angles]
-            starts.append(apart[int(np.argmax([self._gain(rows, places) for places in apart]))])
+            splits = [self._take_apart(heads.place_mm, number, angle) for angle in angles]
+            starts.append(splits[int(np.argmax([self._gain(rows, places) for places in splits]))])
         fits = [fit for fit in (self._fit(rows, places) for places in starts) if fit is not None]
         return max(fits, key=lambda fit: fit.gain, default=None)
 
     def _take_apart(self, places_mm: Array, number: int, angle: float) -> Array:
-        half = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
-        return np.vstack([np.delete(places_mm, number, axis=0), places_mm[number] + half, places_mm[number] - half])
+        half_mm = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
+        return np.vstack(
+            [np.delete(places_mm, number, axis=0), places_mm[number] + half_mm, places_mm[number] - half_mm]
+        )
 
     def _place_in_turn(self, rows: Array, places_mm: Array) -> Array:
         """Places on the lattice, each in turn where it explains most besides the others."""
         places = places_mm.copy()
         for _ in range(_TURNS):
-            before = places.copy()
+            last_places = places.copy()
             for number in range(len(places)):
                 places[number] = self._best_beside(rows, np.delete(places, number, axis=0))
-            if np.array_equal(before, places):
+            if np.array_equal(last_places, places):
                 break
         return places
 
     def _best_beside(self, rows: Array, places_mm: Array) -> Array:
         """Place (2,) on the lattice of the head that explains most besides others, their strengths left free."""
-        bank, there = self._filter.bank, self._filter.template(places_mm)
-        basis = np.linalg.qr(there[np.isfinite(there).all(axis=1)].T)[0]
-        beside = basis.T @ bank
-        own = np.maximum(1 - np.einsum("kn,kn->n", beside, beside), 1e-3)  # the rest is not informative
+        bank, templates = self._filter.bank, self._filter.template(places_mm)
+        basis = np.linalg.qr(templates[np.isfinite(templates).all(axis=1)].T)[0]
+        projections = basis.T @ bank
+        # Less than the least share is not informative.
+        remaining_share = np.maximum(1 - np.einsum("kn,kn->n", projections, projections), 1e-3)
         score = (rows - basis @ (basis.T @ rows)) @ bank
-        best: Array = self._filter.searched_mm[int(np.argmax(score**2 / own))]
+        best: Array = self._filter.searched_mm[int(np.argmax(score**2 / remaining_share))]
         return best
 
     def _gain(self, rows: Array, places_mm: Array) -> float:
-        there = self._filter.template(places_mm)
-        if not np.isfinite(there).all():
+        templates = self._filter.template(places_mm)
+        if not np.isfinite(templates).all():
             return -np.inf
-        basis = np.linalg.qr(there.T)[0]
+        basis = np.linalg.qr(templates.T)[0]
         return float(((basis.T @ rows) ** 2).sum())
 
     def _fit(self, rows: Array, places_mm: Array) -> Heads | None:
         """Places and strengths of all heads together, from given places; None if no head is possible."""
         places, count = places_mm.copy(), len(places_mm)
-        at = self._filter.template_and_slopes(places)
-        if not np.isfinite(at).all():
+        template_jet = self._filter.template_and_slopes(places)
+        if not np.isfinite(template_jet).all():
             return None
-        strength = _strengths(at, rows)
-        left = rows - strength @ at[:, 0]
-        squares, damping = float(left @ left), 1e-3
+        strength = _strengths(template_jet, rows)
+        residual = rows - strength @ template_jet[:, 0]
+        squares, damping = float(residual @ residual), 1e-3
         for _ in range(_STEPS):
-            design = _design(at, strength)
+            design = _design(template_jet, strength)
             normal = design @ design.T
             try:
-                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), design @ left).reshape(count, 3)
+                step = np.linalg.solve(normal + damping * np.diag(np.diag(normal)), design @ residual).reshape(
+                    count, 3
+                )
             except np.linalg.LinAlgError:
                 return None
             move = step[:, 1:] * np.minimum(1.0, _LONGEST_MM / np.maximum(np.hypot(*step[:, 1:].T), 1e-12))[:, None]
-            tried_at = self._filter.template_and_slopes(places + move)
-            tried = np.inf
-            if np.isfinite(tried_at).all():
-                tried_strength = _strengths(tried_at, rows)
-                tried_left = rows - tried_strength @ tried_at[:, 0]
-                tried = float(tried_left @ tried_left)
-            if tried <= squares:
-                small = squares - tried < _STILL
-                places, at, strength, left, squares = places + move, tried_at, tried_strength, tried_left, tried
+            trial_jet = self._filter.template_and_slopes(places + move)
+            trial_squares = np.inf
+            if np.isfinite(trial_jet).all():
+                trial_strength = _strengths(trial_jet, rows)
+                trial_residual = rows - trial_strength @ trial_jet[:, 0]
+                trial_squares = float(trial_residual @ trial_residual)
+            if trial_squares <= squares:
+                is_small = squares - trial_squares < _STILL
+                places, template_jet, strength, residual, squares = (
+                    places + move,
+                    trial_jet,
+                    trial_strength,
+                    trial_residual,
+                    trial_squares,
+                )
                 damping /= 10
-                if small:
+                if is_small:
                     break
             elif damping > 1e6:
                 break
             else:
                 damping *= 10
-        return self._heads(rows, places, at, strength, squares)
+        return self._heads(rows, places, template_jet, strength, squares)
 
     def _heads(self, rows: Array, places_mm: Array, at: Array, strength: Array, squares: float) -> Heads | None:
-        left = squares / max(len(rows) - 3 * len(strength), 1)
+        residual_variance = squares / max(len(rows) - 3 * len(strength), 1)
         try:
             root = _inverse_root(_design(at, strength))
-            alone = _inverse_root(at[:, 0])
+            single_root = _inverse_root(at[:, 0])
         except np.linalg.LinAlgError:
             return None
         gain = float(rows @ rows) - squares
-        detectability = np.abs(strength) / np.linalg.norm(alone, axis=1)
-        return Heads(places_mm, strength, root @ root.T * max(left, 1.0), gain, left, detectability)
+        detectability = np.abs(strength) / np.linalg.norm(single_root, axis=1)
+        return Heads(
+            places_mm, strength, root @ root.T * max(residual_variance, 1.0), gain, residual_variance, detectability
+        )
 
 
 def _inverse_root(design: Array) -> Array:

@@ -9,12 +9,12 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.force.template_matching import Matches
 from cbsr_qa.domain.numbers import Array
 
-#: A place with a larger error does not determine the pose [mm].
+#: Largest error of a place that helps to determine the pose [mm].
 _SURE_MM: Final = 1.5
 #: Fewest places for a pose, and standard errors by which it must differ from none.
 _FEWEST: Final = 3
 _CLEAR: Final = 4.0
-#: A pose that moves no place by more than this is ignored [mm].
+#: Largest shift of a place by a pose that is ignored [mm].
 _SMALLEST_MM: Final = 0.15
 
 
@@ -27,7 +27,7 @@ class SheetPose:
     shift_mm : b.
     rotation_deg : θ, counterclockwise.
     shift_stderr_mm, rotation_stderr_deg : standard errors, equal for both components of the shift.
-    moved : whether it differs clearly from none; otherwise places are unchanged.
+    moved : True if the pose differs clearly from none; False leaves places unchanged.
     """
 
     shift_mm: tuple[float, float] = (0.0, 0.0)
@@ -61,8 +61,8 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
     Parameters
     ----------
     nominal_mm : (n, 2) pressed places.
-    matches : of the same loads.
-    noise : (n,) variance of their rows.
+    matches : matches of the same loads.
+    noise : (n,) variance of the rows of the loads.
 
     Returns
     -------
@@ -70,41 +70,41 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
     than 4 standard errors, estimated from the residuals.
     """
     variance = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
-    sure = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
-    if len(np.unique(nominal_mm[sure], axis=0)) < _FEWEST:
+    sure_mask = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
+    if len(np.unique(nominal_mm[sure_mask], axis=0)) < _FEWEST:
         return AS_PLACED
     # Besides noise, an uneven sheet moves every place slightly: no load outweighs all others.
-    weight = 1 / (variance[sure] + float(np.median(variance[sure])))
-    p, q = (places[sure] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
+    weight = 1 / (variance[sure_mask] + float(np.median(variance[sure_mask])))
+    p, q = (places[sure_mask] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
     weight = _drop_strays(p, q, weight)
     return _fit_pose(p, q, weight)
 
 
 def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
-    apart = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
-    return np.where(apart <= max(5 * float(np.median(apart)), 3.0), weight, 0.0)
+    distance_mm = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
+    return np.where(distance_mm <= max(5 * float(np.median(distance_mm)), 3.0), weight, 0.0)
 
 
 def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
     total = float(weight.sum())
-    middle, seen = complex(weight @ p) / total, complex(weight @ q) / total
-    size = float(weight @ np.abs(p - middle) ** 2)
+    nominal_middle, seen_middle = complex(weight @ p) / total, complex(weight @ q) / total
+    size = float(weight @ np.abs(p - nominal_middle) ** 2)
     if not size > 0:
         return AS_PLACED
-    turn = complex(weight @ ((p - middle).conj() * (q - seen)))
+    turn = complex(weight @ ((p - nominal_middle).conj() * (q - seen_middle)))
     angle = float(np.angle(turn))
-    shift = seen - np.exp(1j * angle) * middle
-    left = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
+    shift = seen_middle - np.exp(1j * angle) * nominal_middle
+    squared_residual = np.abs(q - shift - np.exp(1j * angle) * p) ** 2
     count = int((weight > 0).sum())
-    variance = float(weight @ left) / (2 * count - 3)  # of one coordinate, of weight one
-    of_angle = float(np.sqrt(variance / size))
-    of_shift = float(np.sqrt(variance * (1 / total + abs(middle) ** 2 / size)))
-    clear = abs(shift) > _CLEAR * of_shift or abs(angle) > _CLEAR * of_angle
+    variance = float(weight @ squared_residual) / (2 * count - 3)  # variance of one coordinate of weight one
+    angle_stderr = float(np.sqrt(variance / size))
+    shift_stderr = float(np.sqrt(variance * (1 / total + abs(nominal_middle) ** 2 / size)))
+    is_clear = abs(shift) > _CLEAR * shift_stderr or abs(angle) > _CLEAR * angle_stderr
     furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
     return SheetPose(
         (shift.real, shift.imag),
         float(np.degrees(angle)),
-        of_shift,
-        float(np.degrees(of_angle)),
-        clear and furthest > _SMALLEST_MM,
+        shift_stderr,
+        float(np.degrees(angle_stderr)),
+        is_clear and furthest > _SMALLEST_MM,
     )

@@ -16,10 +16,10 @@ from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel
 
-_STEPS: Final = 4  # of Fisher scoring: the last is below 0.01 mm
+_STEPS: Final = 4  # steps of Fisher scoring; the last is below 0.01 mm
 _FURTHEST: Final = 0.25  # cells that scoring may move beyond its cell
 _NOTHING: Final = 1e-30  # least squared score: a frame without change has no place
-_MOVES: Final = 4  # to a neighbouring cell
+_MOVES: Final = 4  # moves to a neighbouring cell
 _STRIDE: Final = 2  # nodes between the searched ones
 _AT_ONCE: Final = 512  # frames compared with the bank together, so that data stay in the processor's cache
 
@@ -30,9 +30,9 @@ class Matches:
 
     Parameters
     ----------
-    place_mm : (n, 2); NaN without nodes around it.
+    place_mm : (n, 2) places; NaN without nodes around it.
     strength : (n,) a = 2κ/(2 + κ).
-    covariance : (n, 3, 3) of (strength, x, y); zero for a given place.
+    covariance : (n, 3, 3) covariance of (strength, x, y); zero for a given place.
     gain : (n,) b²/g, decrease of the squared residuals by the head.
     energy : (n,) y·y.
     """
@@ -51,7 +51,7 @@ class TemplateFilter:
 
     Parameters
     ----------
-    model : of the sensor.
+    model : force model of the sensor.
     size : q, the head's squared radius over that of the calibrated one.
 
     Attributes
@@ -85,10 +85,10 @@ class TemplateFilter:
 
     def match_at(self, rows: Array, place_mm: Array) -> Matches:
         """Strength of a head at given places: (n, r) rows, places (2,) or (n, 2)."""
-        given = np.asarray(place_mm, dtype=np.float64)
-        places = np.broadcast_to(given, (len(rows), 2))
-        template = self.template(given[None] if given.ndim == 1 else given)
-        number = rows @ template[0] if given.ndim == 1 else (rows * template).sum(axis=1)
+        given_mm = np.asarray(place_mm, dtype=np.float64)
+        places = np.broadcast_to(given_mm, (len(rows), 2))
+        template = self.template(given_mm[None] if given_mm.ndim == 1 else given_mm)
+        number = rows @ template[0] if given_mm.ndim == 1 else (rows * template).sum(axis=1)
         gram = np.broadcast_to((template**2).sum(axis=1), len(rows))
         covariance = np.zeros((len(rows), 3, 3))
         covariance[:, 0, 0] = 1 / gram
@@ -141,13 +141,13 @@ class TemplateFilter:
         """Gain (n,) and strength (n,) of a second head besides the first in each frame, at the searched places."""
         gain, gain_strength = np.zeros(len(rows)), np.zeros(len(rows))
         for first in range(0, len(rows), _AT_ONCE):
-            part = slice(first, first + _AT_ONCE)
-            there = np.nan_to_num(self.template(place_mm[part]))
-            score = (rows[part] - strength[part, None] * there) @ self.bank
+            batch = slice(first, first + _AT_ONCE)
+            first_template = np.nan_to_num(self.template(place_mm[batch]))
+            score = (rows[batch] - strength[batch, None] * first_template) @ self.bank
             best = np.abs(score).argmax(axis=1)
             peak = score[np.arange(len(best)), best]
-            gain[part] = peak**2
-            gain_strength[part] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
+            gain[batch] = peak**2
+            gain_strength[batch] = peak * np.exp(-self._tables[self._node_of[self._coarse[best]], 0])
         return gain, gain_strength
 
     def ambiguous(self, rows: Array, matches: Matches) -> Matches:
@@ -160,28 +160,28 @@ class TemplateFilter:
         size = np.exp(self._tables[self._node_of[self._coarse], 0])
         for n, (row, place) in enumerate(zip(rows, matches.place_mm, strict=True)):
             score = row @ self.bank
-            apart = self.searched_mm - place
-            mine = 2 * np.pi * np.sqrt(max(float(np.linalg.det(covariance[n, 1:, 1:])), 0.0))
-            far = (apart**2).sum(axis=1) > 9 * np.trace(covariance[n, 1:, 1:]) + cell
-            weight = cell * np.exp(np.minimum(score**2 - matches.gain[n], 0.0) / 2) * far
-            off = np.column_stack([score / size - matches.strength[n], apart])
-            total = mine + weight.sum()
+            displacement_mm = self.searched_mm - place
+            match_weight = 2 * np.pi * np.sqrt(max(float(np.linalg.det(covariance[n, 1:, 1:])), 0.0))
+            far_mask = (displacement_mm**2).sum(axis=1) > 9 * np.trace(covariance[n, 1:, 1:]) + cell
+            weight = cell * np.exp(np.minimum(score**2 - matches.gain[n], 0.0) / 2) * far_mask
+            deviation = np.column_stack([score / size - matches.strength[n], displacement_mm])
+            total = match_weight + weight.sum()
             if weight.any() and np.isfinite(total):
-                covariance[n] += (off.T * weight) @ off / total
+                covariance[n] += (deviation.T * weight) @ deviation / total
         return replace(matches, covariance=covariance)
 
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)
-        offset, there = self._maximise_score(self._about(cell, rows), offset)
+        offset, surfaces = self._maximise_score(self._about(cell, rows), offset)
         for _ in range(_MOVES):
-            moved, aim = self._neighbours(cell, offset)
-            if not moved.any():
+            moved_mask, aim = self._neighbours(cell, offset)
+            if not moved_mask.any():
                 break
-            cell[moved] = aim[moved]
-            offset[moved], there[moved] = self._maximise_score(
-                self._about(cell[moved], rows[moved]), np.full((int(moved.sum()), 2), 0.5)
+            cell[moved_mask] = aim[moved_mask]
+            offset[moved_mask], surfaces[moved_mask] = self._maximise_score(
+                self._about(cell[moved_mask], rows[moved_mask]), np.full((int(moved_mask.sum()), 2), 0.5)
             )
-        strength, covariance, gain = self._result(there)
+        strength, covariance, gain = self._result(surfaces)
         j, i = np.divmod(cell, self.lattice.columns)
         h = self.lattice.spacing_mm
         place = np.empty((len(cell), 2))
@@ -191,33 +191,33 @@ class TemplateFilter:
 
     def _about(self, cell: Indices, rows: Array) -> Array:
         nodes = self._stencil[cell]
-        about = np.empty((*nodes.shape, 7))
-        about[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
-        about[:, :, 1:] = self._tables[nodes]
-        return about
+        surroundings = np.empty((*nodes.shape, 7))
+        surroundings[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
+        surroundings[:, :, 1:] = self._tables[nodes]
+        return surroundings
 
     def _neighbours(self, cell: Indices, offset: Array) -> tuple[Mask, Indices]:
-        """Which frames should move to a neighbouring cell with interpolation, and which cell."""
+        """Mask of frames that should move to a neighbouring cell with interpolation, and that cell."""
         step: Indices = (offset >= 1 + _FURTHEST).astype(np.int64) - (offset <= -_FURTHEST)
         aim = cell + step[:, 0] + self.lattice.columns * step[:, 1]
-        there: Mask = step.any(axis=1) & self._whole[aim]
-        return there, aim
+        move_mask: Mask = step.any(axis=1) & self._whole[aim]
+        return move_mask, aim
 
     def _cell_of_best(self, score: Array) -> tuple[Indices, Array]:
         """Lower left corner of the cell of each head, and the offset in it, by parabolas through neighbours."""
         score = np.abs(score)
         frames, best = np.arange(len(score)), score.argmax(axis=1)
-        place, beside = self._coarse[best], self._next[best]
-        around = np.where(beside >= 0, score[frames[:, None], beside], -np.inf)
+        place, neighbour = self._coarse[best], self._next[best]
+        around = np.where(neighbour >= 0, score[frames[:, None], neighbour], -np.inf)
         low, high, peak = around[:, ::2], around[:, 1::2], score[frames, best][:, None]
-        both = np.isfinite(low + high)
-        bend = np.where(both, 2 * peak - low - high, 1.0)
-        part = np.where(both, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
-        shift = _STRIDE * np.minimum(np.maximum(part, -0.5), 0.5)
-        down = np.floor(shift).astype(np.int64)
-        cell = place + down[:, 0] + self.lattice.columns * down[:, 1]
-        whole = self._whole[cell]
-        return np.where(whole, cell, place), np.where(whole[:, None], shift - down, 0.0)
+        finite_mask = np.isfinite(low + high)
+        bend = np.where(finite_mask, 2 * peak - low - high, 1.0)
+        fraction = np.where(finite_mask, (high - low) / np.maximum(2 * bend, _NOTHING), 0.0)
+        shift = _STRIDE * np.minimum(np.maximum(fraction, -0.5), 0.5)
+        corner = np.floor(shift).astype(np.int64)
+        cell = place + corner[:, 0] + self.lattice.columns * corner[:, 1]
+        whole_mask = self._whole[cell]
+        return np.where(whole_mask, cell, place), np.where(whole_mask[:, None], shift - corner, 0.0)
 
     def _maximise_score(self, about: Array, offset: Array) -> tuple[Array, Array]:
         """Offset (n, 2) from the cell's corner, in cells, of the largest score, by Fisher scoring.
@@ -229,40 +229,43 @@ class TemplateFilter:
         -------
         The offset, and values and slopes per cell of score and tables there (n, 4, 7).
         """
-        at, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
+        surfaces, squared = surfaces_at(about, offset), self.lattice.spacing_mm**2
         damping = np.ones(len(about))
         for _ in range(_STEPS):
-            aim = offset + _scoring_step(at, damping / squared)
+            aim = offset + _scoring_step(surfaces, damping / squared)
             aim = np.minimum(np.maximum(aim, -_FURTHEST), 1 + _FURTHEST)
-            there = surfaces_at(about, aim)
-            better = np.abs(there[:, 0, 0]) > np.abs(at[:, 0, 0])
-            if better.all():
-                offset, at, damping = aim, there, np.ones(len(about))
+            aim_surfaces = surfaces_at(about, aim)
+            better_mask = np.abs(aim_surfaces[:, 0, 0]) > np.abs(surfaces[:, 0, 0])
+            if better_mask.all():
+                offset, surfaces, damping = aim, aim_surfaces, np.ones(len(about))
                 continue
-            offset, at = np.where(better[:, None], aim, offset), np.where(better[:, None, None], there, at)
-            damping = np.where(better, 1.0, damping / 4)
-        return offset, at
+            offset, surfaces = (
+                np.where(better_mask[:, None], aim, offset),
+                np.where(better_mask[:, None, None], aim_surfaces, surfaces),
+            )
+            damping = np.where(better_mask, 1.0, damping / 4)
+        return offset, surfaces
 
     def _result(self, there: Array) -> tuple[Array, Array, Array]:
         score, log_size, *_, xx, xy, yy = there[:, 0].T
-        strength, along = score / np.exp(log_size), there[:, 0, 2:4]
+        strength, log_size_slope = score / np.exp(log_size), there[:, 0, 2:4]
         squared = np.maximum(score**2, _NOTHING)
         place = np.empty((len(there), 2, 2))
         place[:, 0, 0], place[:, 1, 1] = yy, xx
         place[:, 0, 1] = place[:, 1, 0] = -xy
         place /= ((xx * yy - xy**2) * squared)[:, None, None]
-        shared = -(place @ along[:, :, None])[:, :, 0]  # of ln strength with the place
+        place_slope = -(place @ log_size_slope[:, :, None])[:, :, 0]  # of ln strength
         covariance = np.empty((len(there), 3, 3))
-        covariance[:, 0, 0] = strength**2 * (1 / squared - (shared * along).sum(axis=1))
-        covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * shared
+        covariance[:, 0, 0] = strength**2 * (1 / squared - (place_slope * log_size_slope).sum(axis=1))
+        covariance[:, 0, 1:] = covariance[:, 1:, 0] = strength[:, None] * place_slope
         covariance[:, 1:, 1:] = place
         return strength, covariance, score**2
 
     def _cells(self, places_mm: Array) -> tuple[Indices, Array]:
         """Nodes (n, 16) about places, and the places' offsets from the cells' corners, in cells."""
-        cell, offset, inside = cells(self.lattice, places_mm)
+        cell, offset, inside_mask = cells(self.lattice, places_mm)
         nodes = self._stencil[cell[:, 1] * self.lattice.columns + cell[:, 0]].copy()
-        nodes[np.logical_not(inside)] = -1
+        nodes[np.logical_not(inside_mask)] = -1
         return nodes, offset
 
 
@@ -283,8 +286,8 @@ def add_scatter(matches: Matches, size_slope: Array, scatter_mm: float) -> Match
 
     Parameters
     ----------
-    size_slope : (n, 2) at the places (:meth:`TemplateFilter.size_slope`): a head misplaced to where changes are
-        larger seems correspondingly weaker.
+    size_slope : (n, 2) slopes at the places (:meth:`TemplateFilter.size_slope`): a head misplaced to where changes
+        are larger seems correspondingly weaker.
     scatter_mm : standard deviation along an axis.
     """
     towards = np.empty((len(size_slope), 3, 2))
@@ -298,11 +301,11 @@ _ONES: Final = np.eye(2)
 
 def _every(stride: int, node: Indices) -> Mask:
     rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
-    chosen: Mask = np.logical_and.outer(rows, columns).ravel()
-    return chosen
+    chosen_mask: Mask = np.logical_and.outer(rows, columns).ravel()
+    return chosen_mask
 
 
 def _pressable(node: Indices, fits: Mask) -> Mask:
-    """Which places (rows · columns,) a head fits on, with neighbours for interpolation."""
+    """Mask (rows · columns,) of places that a head fits on, with neighbours for interpolation."""
     fitting = np.where(node >= 0, fits[node], False)
     return (stencils(node) >= 0).all(axis=1) & fitting.ravel()

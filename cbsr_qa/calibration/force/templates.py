@@ -18,7 +18,7 @@ from cbsr_qa.eit.loads.round_load import LoadReadings, RoundLoadModel, RoundLoad
 #: Contrast of the templates: readings per strength differ by less than 0.3 % up to 0.3 within 36 mm of the centre of
 #: the 100 mm disc, and by 1.4 % at 40 mm.
 CONTRAST: Final = 0.1
-#: Between places of the lattice, of the sheet's radius: 1.25 mm on the 100 mm disc.
+#: Spacing of the lattice's places, in radii of the sheet: 1.25 mm on the 100 mm disc.
 SPACING: Final = 0.025
 #: Nodes closer to an edge or an electrode [of the sheet's radius] have no field for interpolation.
 LEAST_CLEARANCE: Final = 0.03
@@ -43,8 +43,8 @@ class TemplateBank:
     Parameters
     ----------
     lattice, node : places, and the row of each, or −1.
-    places_mm : (n, 2) of the rows.
-    templates, log_size, size_slope, slopes, fits : as in :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
+    places_mm : (n, 2) places of the rows.
+    templates, log_size, size_slope, slopes, fits : fields of :class:`~cbsr_qa.domain.results.calibration.ForceModel`.
     """
 
     lattice: Lattice
@@ -68,18 +68,18 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
     Parameters
     ----------
     readings : merging of readings into rows.
-    head : of any outline, replaced by the disc of its area and second moment.
+    head : head of any outline; the disc of its area and second moment replaces it.
     """
     lattice = _lattice(model)
-    everywhere = lattice.places_mm()
-    clear_mm = model.surroundings.clearance_mm(everywhere)
-    inside = clear_mm >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    lattice_mm = lattice.places_mm()
+    clear_mm = model.surroundings.clearance_mm(lattice_mm)
+    inside_mask = clear_mm >= LEAST_CLEARANCE * model.surroundings.radius_mm
     if not (clear_mm >= head.radius_mm).any():
         raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
-    node = np.where(inside, np.cumsum(inside) - 1, -1).reshape(lattice.rows, lattice.columns)
-    places = everywhere[inside]
+    node = np.where(inside_mask, np.cumsum(inside_mask) - 1, -1).reshape(lattice.rows, lattice.columns)
+    places = lattice_mm[inside_mask]
     templates, log_size, size_slope, slopes = _join(_templates(readings, p) for p in _everywhere(model, head))
-    fits = clear_mm[inside] >= head.radius_mm
+    fits = clear_mm[inside_mask] >= head.radius_mm
     return TemplateBank(lattice, node.astype(np.int64), places, templates, log_size, size_slope, slopes, fits)
 
 
@@ -87,12 +87,12 @@ def _join(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
     return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
 
 
-@lru_cache(maxsize=1)  # of the last sensor and head; about 50 MB
+@lru_cache(maxsize=1)  # keeps those of the last sensor and head, about 50 MB
 def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements."""
-    everywhere = _lattice(model).places_mm()
-    inside = model.surroundings.clearance_mm(everywhere) >= LEAST_CLEARANCE * model.surroundings.radius_mm
-    return tuple(_press_lattice(model, everywhere[inside], head))
+    lattice_mm = _lattice(model).places_mm()
+    inside_mask = model.surroundings.clearance_mm(lattice_mm) >= LEAST_CLEARANCE * model.surroundings.radius_mm
+    return tuple(_press_lattice(model, lattice_mm[inside_mask], head))
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -117,9 +117,14 @@ def _lattice(model: RoundLoadModel) -> Lattice:
     spacing = SPACING * model.surroundings.radius_mm
     low_x, high_x, low_y, high_y = model.surroundings.extent_mm
     # Relative to the middle, so that a symmetric sheet has a symmetric lattice.
-    half = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
+    half_counts = [ceil((high - low) / 2 / spacing) for low, high in ((low_x, high_x), (low_y, high_y))]
     x, y = (low_x + high_x) / 2, (low_y + high_y) / 2
-    return Lattice((x - half[0] * spacing, y - half[1] * spacing), spacing, 2 * half[0] + 1, 2 * half[1] + 1)
+    return Lattice(
+        (x - half_counts[0] * spacing, y - half_counts[1] * spacing),
+        spacing,
+        2 * half_counts[0] + 1,
+        2 * half_counts[1] + 1,
+    )
 
 
 def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Array, Array, Array]:
@@ -128,16 +133,19 @@ def _templates(readings: MergedReadings, pressed: _Pressed) -> tuple[Array, Arra
     rows = readings.merge_frames(pressed.readings.change) / per + by_square * pressed.beyond_mm2[:, None]
     size = np.linalg.norm(rows, axis=1)
     rows, by_x, by_y, by_square = (values / size[:, None] for values in (rows, by_x, by_y, by_square))
-    along = [(rows * by).sum(axis=1) for by in (by_x, by_y)]
-    turn_x, turn_y = (by - rows * part[:, None] for by, part in zip((by_x, by_y), along, strict=True))
+    projections = [(rows * slope_rows).sum(axis=1) for slope_rows in (by_x, by_y)]
+    turn_x, turn_y = (
+        slope_rows - rows * projection[:, None]
+        for slope_rows, projection in zip((by_x, by_y), projections, strict=True)
+    )
     pairs = ((turn_x, turn_x), (turn_x, turn_y), (turn_y, turn_y))
-    slopes = np.column_stack([*along, *((slope * other).sum(axis=1) for slope, other in pairs)])
+    slopes = np.column_stack([*projections, *((slope * other).sum(axis=1) for slope, other in pairs)])
     return rows, np.log(size), by_square * pressed.square_mm2, slopes
 
 
 def make_even_model(bank: TemplateBank, merging: Array) -> ForceModel:
     """Return the force model of an even sheet, before learning from loads."""
-    nothing = np.zeros(len(bank.templates))
+    zeros = np.zeros(len(bank.templates))
     return ForceModel(
         lattice=bank.lattice,
         node=bank.node,
@@ -148,8 +156,8 @@ def make_even_model(bank: TemplateBank, merging: Array) -> ForceModel:
         log_size_gradient=bank.slopes[:, :2],
         turning=bank.slopes[:, 2:],
         fits=bank.fits,
-        log_response=nothing,
-        log_response_stderr=nothing,
+        log_response=zeros,
+        log_response_stderr=zeros,
         scatter=0.0,
         stress_kPa=(0.0, 0.0),
         threshold=_threshold(bank),

@@ -10,7 +10,7 @@ from cbsr_qa.domain.numbers import Mask
 from cbsr_qa.domain.results.observation import LoadObservation
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 
-#: With fewer places most of the map is its mean. Chosen by us.
+#: Number of places below which most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6
 #: Number of loads named one by one; the rest are counted.
 _NAMED: Final = 6
@@ -18,21 +18,21 @@ _NAMED: Final = 6
 
 def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) -> Iterator[str]:
     """Yield gaps in the information from a model's loads, which are in the order of ``learned.refused``."""
-    refused: dict[str, list[LoadObservation]] = {}
-    used = []
+    loads_by_reason: dict[str, list[LoadObservation]] = {}
+    used_loads = []
     for load, why in zip(loads, learned.refused, strict=True):
         if why:
-            refused.setdefault(why, []).append(load)
+            loads_by_reason.setdefault(why, []).append(load)
         else:
-            used.append(load)
-    for why, members in refused.items():
+            used_loads.append(load)
+    for why, members in loads_by_reason.items():
         yield f"no force was learned from {_names(members)}: {why}"
     if words := prediction_words(learned):
         yield words
-    places = {load.place_mm for load in used}
+    places = {load.place_mm for load in used_loads}
     if len(places) < _FEW_PLACES:
         yield (f"force was learned at only {len(places)} places: elsewhere their mean response is assumed")
-    strains = {round(load.record.load.strain, 6) for load in used}
+    strains = {round(load.record.load.strain, 6) for load in used_loads}
     alike_strain = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
     if not learned.fitted_intercept:
         lowest, highest = learned.model.stress_kPa
@@ -55,17 +55,19 @@ def prediction_words(learned: LearnedForce) -> str:
 
 def list_untrained_ranges(used: Sequence[LoadObservation], confirmed: Sequence[LoadObservation]) -> Iterator[str]:
     """Yield ranges covered only by loads (``confirmed``) used to test the force, not to learn it."""
-    forces, tried = ([load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed))
-    if forces and tried and (min(tried) < min(forces) or max(tried) > max(forces)):
+    forces, forces_tested = (
+        [load.force_N for load in loads if load.force_N is not None] for loads in (used, confirmed)
+    )
+    if forces and forces_tested and (min(forces_tested) < min(forces) or max(forces_tested) > max(forces)):
         yield (
-            f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; {len(tried)} further loads from"
-            f" {min(tried):.3g} to {max(tried):.3g} N agree with it within three standard errors"
+            f"force was learned from {min(forces):.3g} to {max(forces):.3g} N; {len(forces_tested)} further loads"
+            f" from {min(forces_tested):.3g} to {max(forces_tested):.3g} N agree with it within three standard errors"
         )
-    radii, reached = ([float(np.hypot(*load.place_mm)) for load in loads] for loads in (used, confirmed))
-    if radii and reached and max(reached) > max(radii):
+    radii, radii_tested = ([float(np.hypot(*load.place_mm)) for load in loads] for loads in (used, confirmed))
+    if radii and radii_tested and max(radii_tested) > max(radii):
         yield (
             f"force was learned up to {max(radii):.3g} mm from the centre;"
-            f" loads up to {max(reached):.3g} mm agree with it"
+            f" loads up to {max(radii_tested):.3g} mm agree with it"
         )
 
 
@@ -81,20 +83,24 @@ def list_missing_forces(loads: Sequence[LoadObservation]) -> Iterator[str]:
 
 def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
     """Yield unusable readings of a sensor, and electrodes without usable readings."""
-    wanted = pattern.usable()
-    missing = int((wanted & ~usable).sum())
-    if not missing:
+    expected_mask = pattern.usable()
+    missing_count = int((expected_mask & ~usable).sum())
+    if not missing_count:
         return
-    yield f"{missing} readings were not imaged: saturated, constant or not connected"
+    yield f"{missing_count} readings were not imaged: saturated, constant or not connected"
     drive, measure = np.array(pattern.drive), np.array(pattern.measure)
-    dead = [
+    dead_electrodes = [
         electrode
         for electrode in range(pattern.electrode_count)
-        if _all_lost(wanted, usable, (drive == electrode).any(axis=1), (measure == electrode).any(axis=1))
+        if _all_lost(expected_mask, usable, (drive == electrode).any(axis=1), (measure == electrode).any(axis=1))
     ]
-    if dead:
-        which = f"electrode {dead[0]} is" if len(dead) == 1 else f"electrodes {', '.join(map(str, dead))} are"
-        yield f"{which} dead: not one of its readings could be used, and forces beside it are less certain"
+    if dead_electrodes:
+        subject = (
+            f"electrode {dead_electrodes[0]} is"
+            if len(dead_electrodes) == 1
+            else f"electrodes {', '.join(map(str, dead_electrodes))} are"
+        )
+        yield f"{subject} dead: not one of its readings could be used, and forces beside it are less certain"
 
 
 def _all_lost(wanted: Mask, usable: Mask, drives: Mask, measures: Mask) -> bool:
@@ -104,8 +110,8 @@ def _all_lost(wanted: Mask, usable: Mask, drives: Mask, measures: Mask) -> bool:
 
 def _names(loads: Sequence[LoadObservation]) -> str:
     named = [_name(load) for load in loads[:_NAMED]]
-    more = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
-    return ", ".join(named) + more
+    others_named = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
+    return ", ".join(named) + others_named
 
 
 def _name(load: LoadObservation) -> str:

@@ -1,9 +1,9 @@
-"""Drift of readings over presses: presses are brought forward to the last of them, and drift further from there.
+"""Drift of readings over presses: presses are brought to the last of them, and readings may drift further.
 
-Of every reading an offset and a gain walk at random. Both are fitted to what presses differ by from the templates of
-all others, as the first functions of the Karhunen–Loève series of a random walk (Wiener process), with the variances
-of largest marginal likelihood. So a few presses made much later, a re-check, tell where the readings have gone.
-Presses in random order show no drift, and get none.
+An offset and a gain of every reading walk at random. Both are fitted to the differences of presses from the templates
+of all others, as the first functions of the Karhunen–Loève series of a random walk (Wiener process), with the
+variances of largest marginal likelihood. So a few presses made much later, a re-check, tell where the readings have
+gone. Presses in random order show no drift, and get none.
 """
 
 from collections.abc import Sequence
@@ -14,16 +14,16 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array, Indices
 
-#: Sessions after the last press that a calibration is stated for; after a re-check it is one.
+#: Number of sessions after the last press for which a calibration is stated; after a re-check it is one.
 SESSIONS: Final = 5.0
 _FUNCTIONS: Final = 6  # they hold 97 % of the variance of a walk
-#: Variances of a walk over all presses that are tried, in variances of a reading's errors.
+#: Candidate variances of a walk over all presses, in variances of a reading's errors.
 _WALKS: Final = (0.0, 0.03, 0.1, 0.3, 1.0, 3.0, 10.0)
 #: Variance of the offset and gain that all presses have in common.
 _COMMON: Final = 1.0
 _SHUFFLES: Final = 49
 _SEED: Final = [int.from_bytes(b"drift"), 0]
-#: Presses of a re-check at least, their largest share of all, and how many times as many before them it is told from.
+#: Fewest presses of a re-check, their largest share of all, and the least ratio of the presses before to them.
 _FEWEST_LATE: Final = 3
 _LATE_SHARE: Final = 0.1
 _BEFORE: Final = 3
@@ -35,12 +35,12 @@ class Drift:
 
     Parameters
     ----------
-    since : by drift between each press and the last one. A press of a re-check is brought to where the others of the
-        re-check tell the readings are, so that it can tell how far that is right.
-    later : one standard deviation of what may be added later, in all features together.
-    late : how many presses at the end are a re-check.
+    since : (n, m) change by drift between each press and the last one. A press of a re-check is brought to where the
+        others of the re-check tell the readings are, so that it can tell how far that is right.
+    later : standard deviation of the change that later drift may add, in all features together.
+    late : number of presses at the end that are a re-check.
     horizon : sessions after the last press that a calibration is stated for.
-    variances : (2,) of what is added until then to the offset and to the gain, in mean squares of errors and, of the
+    variances : (2,) variances added to the offset and to the gain until then, in mean squares of errors and, of the
         gain, of expected features over their root mean square.
     """
 
@@ -53,12 +53,12 @@ class Drift:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Session:
-    """When presses were made.
+    """Times at which presses were made.
 
     Parameters
     ----------
-    time : (n,) in lengths of the session.
-    late : how many presses at the end are a re-check.
+    time : (n,) times in lengths of the session.
+    late : number of presses at the end that are a re-check.
     """
 
     time: Array
@@ -70,9 +70,9 @@ class Session:
         return 1.0 if self.late else SESSIONS
 
     def select(self, presses: Indices) -> "Session":
-        """The same of some presses, in rising order."""
-        late = int(np.count_nonzero(presses >= len(self.time) - self.late))
-        return Session(self.time[presses], late)
+        """Session of some presses, in rising order."""
+        recheck_count = int(np.count_nonzero(presses >= len(self.time) - self.late))
+        return Session(self.time[presses], recheck_count)
 
 
 def session_of(errors: Array, time_s: Array | None) -> Session:
@@ -80,8 +80,9 @@ def session_of(errors: Array, time_s: Array | None) -> Session:
 
     Parameters
     ----------
-    errors : (n, m) of presses that were left out, seen less expected features.
-    time_s : (n,) of the presses, rising; None where they were made one after the other, a re-check at the end apart.
+    errors : (n, m) errors of presses that were left out: seen less expected features.
+    time_s : (n,) times of the presses, rising; None where they were made one after the other, a re-check at the end
+        apart.
     """
     return Session(*_sessions(_scale_to_unit_rms(errors)[0], time_s, _orders(len(errors))))
 
@@ -91,31 +92,36 @@ def find_drift(errors: Array, expected: Array, session: Session, *, certain: boo
 
     Parameters
     ----------
-    errors, expected : (n, m) of presses that were left out: seen less expected features, and expected ones.
-    certain : whether the presses are known to drift, by others of their features.
+    errors, expected : (n, m) seen less expected features of presses that were left out, and expected features.
+    certain : True if the presses are known to drift, by others of their features.
     """
     scaled, deviation = _scale_to_unit_rms(errors)
     relative, _ = _scale_to_unit_rms(expected)
-    walk, late = _Walk.over(session.time), session.late
+    walk, recheck_count = _Walk.over(session.time), session.late
     if not certain and walk.score(scaled, relative) <= max(
         replace(walk, at=walk.at[order]).score(scaled, relative) for order in _orders(len(errors))
     ):
         return None
     variances, expected_variances = walk.likely(scaled, relative)
-    found = walk.fit(scaled, relative, variances)
-    since = _evaluate_drift(walk.at[-1] - walk.at, found, relative)
-    for press in range(len(scaled) - late, len(scaled)):
-        others = np.delete(np.arange(len(scaled)), press)
-        less = replace(walk, at=walk.at[others]).fit(scaled[others], relative[others], variances) - found
+    coefficients = walk.fit(scaled, relative, variances)
+    since = _evaluate_drift(walk.at[-1] - walk.at, coefficients, relative)
+    for press in range(len(scaled) - recheck_count, len(scaled)):
+        other_presses = np.delete(np.arange(len(scaled)), press)
+        coefficient_change = (
+            replace(walk, at=walk.at[other_presses]).fit(scaled[other_presses], relative[other_presses], variances)
+            - coefficients
+        )
         since[press] -= _evaluate_drift(
-            walk.at[[press]] - walk.at[: len(scaled) - late].mean(axis=0), less, relative[[press]]
+            walk.at[[press]] - walk.at[: len(scaled) - recheck_count].mean(axis=0),
+            coefficient_change,
+            relative[[press]],
         )[0]
-    further = _evaluate_drift((walk.at[-1] - walk.at[0])[None], found, relative)
+    horizon_drift = _evaluate_drift((walk.at[-1] - walk.at[0])[None], coefficients, relative)
     sessions = session.horizon / float(np.ptp(session.time))
     return Drift(
         deviation * since,
-        deviation * np.sqrt(sessions) * further,
-        late,
+        deviation * np.sqrt(sessions) * horizon_drift,
+        recheck_count,
         session.horizon,
         sessions * expected_variances,
     )
@@ -156,23 +162,23 @@ class _Walk:
         return cls(functions, 1 / frequency**2)
 
     def score(self, scaled: Array, relative: Array) -> float:
-        """Slope of the likelihood of errors (n, m) by the variance of a walk of offset and gain, at none."""
-        at = self.at - self.at.mean(axis=0)
-        along = (at.T @ scaled) ** 2 + (at.T @ (scaled * relative)) ** 2
-        return float((self.variances @ along).sum())
+        """Slope of the likelihood of errors (n, m) with the variance of a walk of offset and gain, at zero."""
+        centred = self.at - self.at.mean(axis=0)
+        projections = (centred.T @ scaled) ** 2 + (centred.T @ (scaled * relative)) ** 2
+        return float((self.variances @ projections).sum())
 
     def likely(self, scaled: Array, relative: Array) -> tuple[tuple[float, float], Array]:
-        """Variances of offset and gain of largest marginal likelihood, in those of noise.
+        """Variances of offset and gain with the largest marginal likelihood, in variances of noise.
 
-        And the means (2,) over all, in squared errors, of which features have one on average.
+        The second result is their mean (2,) over all candidates, in squared errors, whose mean over features is one.
         """
         problem = self._problem(scaled, relative)
-        tried = [(offset, gain) for offset in _WALKS for gain in _WALKS]
-        solved = [self._solve(problem, variances) for variances in tried]
-        likelihoods, noise = np.array([(likelihood, noise.mean()) for likelihood, _, noise in solved]).T
+        candidates = [(offset, gain) for offset in _WALKS for gain in _WALKS]
+        solutions = [self._solve(problem, variances) for variances in candidates]
+        likelihoods, noise = np.array([(likelihood, noise.mean()) for likelihood, _, noise in solutions]).T
         weights = np.exp((likelihoods - likelihoods.max()) / 2)
-        means: Array = (weights / weights.sum() * noise) @ np.array(tried)
-        return tried[int(likelihoods.argmax())], means
+        means: Array = (weights / weights.sum() * noise) @ np.array(candidates)
+        return candidates[int(likelihoods.argmax())], means
 
     def fit(self, scaled: Array, relative: Array, variances: tuple[float, float]) -> Array:
         """Coefficients (2, k, m) of offset and gain."""
@@ -184,26 +190,30 @@ class _Walk:
         count = len(scaled)
         basis = np.column_stack([np.ones(count), self.at])
         products = (basis[:, :, None] * basis[:, None, :]).reshape(count, -1)
-        plain, mixed, squared = (
+        offset_moments, mixed_moments, gain_moments = (
             (products.T @ relative**power).T.reshape(-1, *[basis.shape[1]] * 2) for power in range(3)
         )
         gram = np.concatenate(
-            [np.concatenate([plain, mixed], axis=2), np.concatenate([mixed, squared], axis=2)], axis=1
+            [
+                np.concatenate([offset_moments, mixed_moments], axis=2),
+                np.concatenate([mixed_moments, gain_moments], axis=2),
+            ],
+            axis=1,
         )
-        along = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
-        return gram, along, (scaled**2).sum(axis=0)
+        projections = np.concatenate([basis.T @ scaled, basis.T @ (scaled * relative)]).T
+        return gram, projections, (scaled**2).sum(axis=0)
 
     def _solve(
         self, problem: tuple[Array, Array, Array], variances: tuple[float, float]
     ) -> tuple[float, Array, Array]:
         """Twice the logarithm of the likelihood, means (m, 2 k + 2), and each reading's variance of noise (m,)."""
-        gram, along, total = problem
+        gram, projections, total = problem
         root = np.sqrt(np.concatenate([[_COMMON, *(each * self.variances)] for each in variances]))
         precision = np.eye(len(root)) + gram * np.outer(root, root)
-        means = root * np.linalg.solve(precision, (root * along)[:, :, None])[:, :, 0]
-        left = np.maximum(total - (along * means).sum(axis=1), np.finfo(float).tiny)
-        likelihood = -len(self.at) * np.log(left).sum() - np.linalg.slogdet(precision)[1].sum()
-        return float(likelihood), means, left / len(self.at)
+        means = root * np.linalg.solve(precision, (root * projections)[:, :, None])[:, :, 0]
+        residual_squares = np.maximum(total - (projections * means).sum(axis=1), np.finfo(float).tiny)
+        likelihood = -len(self.at) * np.log(residual_squares).sum() - np.linalg.slogdet(precision)[1].sum()
+        return float(likelihood), means, residual_squares / len(self.at)
 
 
 def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) -> tuple[Array, int]:
@@ -214,28 +224,28 @@ def _sessions(scaled: Array, time_s: Array | None, orders: Sequence[Indices]) ->
     """
     count = len(scaled)
     if time_s is None:
-        late = _late(scaled, orders)
-        time = np.linspace(0.0, 1.0, count - late)
-        return np.append(time, 1 + SESSIONS + np.arange(late) / count), late
+        recheck_count = _late(scaled, orders)
+        time = np.linspace(0.0, 1.0, count - recheck_count)
+        return np.append(time, 1 + SESSIONS + np.arange(recheck_count) / count), recheck_count
     breaks = np.diff(time_s)
-    last = int(breaks.argmax())
-    session = float(time_s[last] - time_s[0])
-    if 0 < session < breaks[last]:
-        return (time_s - time_s[0]) / session, count - last - 1
+    last_before_break = int(breaks.argmax())
+    session = float(time_s[last_before_break] - time_s[0])
+    if 0 < session < breaks[last_before_break]:
+        return (time_s - time_s[0]) / session, count - last_before_break - 1
     return (time_s - time_s[0]) / max(float(np.ptp(time_s)), np.finfo(float).tiny), 0
 
 
 def _late(scaled: Array, orders: Sequence[Indices]) -> int:
-    """How many presses at the end are a re-check: they jump more than in random orders, and than any before."""
+    """Number of presses at the end that are a re-check: they jump more than in random orders, and than any before."""
     count = len(scaled)
-    most = max(int(_LATE_SHARE * count), _FEWEST_LATE)
-    fewest = (1 + _BEFORE) * most
-    if fewest > count - most:
+    largest_count = max(int(_LATE_SHARE * count), _FEWEST_LATE)
+    fewest = (1 + _BEFORE) * largest_count
+    if fewest > count - largest_count:
         return 0
-    jumps = _jumps(scaled, most)
-    ends = np.unique(np.linspace(fewest, count - most, _SHUFFLES).astype(np.int64))
-    others = [scaled[order] for order in orders] + [scaled[:end] for end in ends]
-    if jumps.max() <= max(_jumps(other, most).max() for other in others):
+    jumps = _jumps(scaled, largest_count)
+    ends = np.unique(np.linspace(fewest, count - largest_count, _SHUFFLES).astype(np.int64))
+    references = [scaled[order] for order in orders] + [scaled[:end] for end in ends]
+    if jumps.max() <= max(_jumps(reference, largest_count).max() for reference in references):
         return 0
     return _FEWEST_LATE + int(jumps.argmax())
 
@@ -248,8 +258,8 @@ def _jumps(scaled: Array, most: int) -> Array:
     rows = scaled[::-1]
     sums = np.cumsum(rows, axis=0)
     jumps = np.empty(most + 1 - _FEWEST_LATE)
-    for at, late in enumerate(range(_FEWEST_LATE, most + 1)):
-        last = (sums[late - 1] - rows[:late]) / (late - 1)
-        before = (sums[(1 + _BEFORE) * late - 1] - sums[late - 1]) / (_BEFORE * late)
-        jumps[at] = ((last - before) ** 2).mean(axis=1).min() / (1 / (late - 1) + 1 / (_BEFORE * late))
+    for number, count in enumerate(range(_FEWEST_LATE, most + 1)):
+        last = (sums[count - 1] - rows[:count]) / (count - 1)
+        mean_before = (sums[(1 + _BEFORE) * count - 1] - sums[count - 1]) / (_BEFORE * count)
+        jumps[number] = ((last - mean_before) ** 2).mean(axis=1).min() / (1 / (count - 1) + 1 / (_BEFORE * count))
     return jumps

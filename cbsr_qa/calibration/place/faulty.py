@@ -18,9 +18,9 @@ _LEVEL: Final = 0.75
 #: of 2500 presses of two real skins stay below 3.2; an open electrode of a simulated sheet is at 60.
 _FAULTY: Final = 6.0
 _BESIDE: Final = 3.0
-#: A group is named as faulty if so large a share of its readings are spikes.
+#: Least share of spikes among a group's readings for which the group is named as faulty.
 _SPIKY_GROUP: Final = 1 / 3
-#: A press or frame with a larger share of faulty readings is not used.
+#: Largest share of faulty readings of a press or frame that is used.
 MOST_FAULTY: Final = 0.5
 
 
@@ -50,34 +50,34 @@ class FaultyGroups:
         missing = missing | spikes
         offset = _offset(np.where(missing, 0.0, changes), ceiling)
         sizes = np.where(missing | (ceiling <= 0), 0.0, np.abs(changes) / np.where(ceiling > 0, ceiling, 1.0))
-        faulty: Mask = offset[:, None] & ~missing & (ceiling > 0)
+        faulty_mask: Mask = offset[:, None] & ~missing & (ceiling > 0)
         flags: Indices = np.where(offset, int(Flag.OFFSET), 0).astype(np.int64)
         for group, flag in self._groups:
             flags |= np.where(spikes[:, group].mean(axis=1) >= _SPIKY_GROUP, flag, 0)
         for frame in np.flatnonzero((sizes.max(axis=1, initial=0.0) > _FAULTY) & ~offset).tolist():
-            kept = ~missing[frame] & (ceiling > 0)
-            while worst := self._worst(sizes[frame], kept):
-                kept &= ~worst[0]
-                faulty[frame] |= worst[0] & ~missing[frame]
+            kept_mask = ~missing[frame] & (ceiling > 0)
+            while worst := self._worst(sizes[frame], kept_mask):
+                kept_mask &= ~worst[0]
+                faulty_mask[frame] |= worst[0] & ~missing[frame]
                 flags[frame] |= worst[1]
-        return faulty, flags
+        return faulty_mask, flags
 
     def _worst(self, sizes: Array, kept: Mask) -> tuple[Mask, int] | None:
         """The group that is farthest off in one frame, if any is: the first of groups that are alike."""
-        most, found = _FAULTY, None
+        largest_excess, worst_group = _FAULTY, None
         for group, flag in self._groups:
-            inside, beside = kept & group, kept & ~group
-            if inside.sum() < FEWEST_OF_PAIR or not beside.any():
+            group_mask, other_mask = kept & group, kept & ~group
+            if group_mask.sum() < FEWEST_OF_PAIR or not other_mask.any():
                 continue
-            off = float(np.quantile(sizes[inside], _LEVEL))
-            off /= max(_BESIDE * float(np.quantile(sizes[beside], _LEVEL)), 1.0)
-            if off > most:
-                most, found = off, (group, flag)
-        return found
+            excess = float(np.quantile(sizes[group_mask], _LEVEL))
+            excess /= max(_BESIDE * float(np.quantile(sizes[other_mask], _LEVEL)), 1.0)
+            if excess > largest_excess:
+                largest_excess, worst_group = excess, (group, flag)
+        return worst_group
 
 
 def _offset(changes: Array, ceiling: Array) -> Mask:
-    """Which frames (n,) have changes beyond the ceilings (m,) in half of the used readings, all to one side."""
+    """Mask (n,) of frames with changes beyond the ceilings (m,) in half of the used readings, all to one side."""
     if not (ceiling > 0).any():
         return np.zeros(len(changes), dtype=np.bool_)
     relative = changes[:, ceiling > 0] / ceiling[ceiling > 0]
@@ -98,25 +98,29 @@ def noisy_readings(pairs: Indices, features: Array, errors: Array) -> Mask:
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
-    features, errors : (n, m) of presses, and what they differ by from what the others let expect. A press whose size
-        noise raises has all its features reduced, so what is expected is scaled to the other electrodes' readings.
+    features, errors : (n, m) features of presses, and their difference from what the others let expect. A press whose
+        size noise raises has all its features reduced, so what is expected is scaled to the other electrodes'
+        readings.
     """
-    worst, off = np.zeros(features.shape, dtype=np.bool_), np.full(len(features), _NOISY)
-    usual = _MAD_TO_SIGMA * np.median(np.abs(errors), axis=0)
-    used = usual > 0
+    noisy_mask, largest_excess = np.zeros(features.shape, dtype=np.bool_), np.full(len(features), _NOISY)
+    usual_error = _MAD_TO_SIGMA * np.median(np.abs(errors), axis=0)
+    used_mask = usual_error > 0
     if len(features) < _FEWEST:
-        return worst
-    weights = np.where(used, 1 / np.where(used, usual, 1.0), 0.0)
-    seen, expected = features * weights, (features - errors) * weights
+        return noisy_mask
+    weights = np.where(used_mask, 1 / np.where(used_mask, usual_error, 1.0), 0.0)
+    scaled_features, scaled_expected = features * weights, (features - errors) * weights
     for electrode in np.unique(pairs):
-        inside = (pairs == electrode).any(axis=1)
-        group, others = used & inside, used & ~inside
-        if group.sum() < FEWEST_OF_PAIR or not others.any():
+        electrode_mask = (pairs == electrode).any(axis=1)
+        group_mask, other_mask = used_mask & electrode_mask, used_mask & ~electrode_mask
+        if group_mask.sum() < FEWEST_OF_PAIR or not other_mask.any():
             continue
-        power = np.maximum((expected[:, others] ** 2).sum(axis=1), np.finfo(float).tiny)
-        scale = (seen[:, others] * expected[:, others]).sum(axis=1) / power
-        left = (seen - scale[:, None] * expected) ** 2
-        times = np.sqrt(left[:, group].mean(axis=1) / np.maximum(left[:, others].mean(axis=1), 1.0))
-        worse = times > off
-        worst[worse], off[worse] = group, times[worse]
-    return worst
+        power = np.maximum((scaled_expected[:, other_mask] ** 2).sum(axis=1), np.finfo(float).tiny)
+        scale = (scaled_features[:, other_mask] * scaled_expected[:, other_mask]).sum(axis=1) / power
+        squared_residual = (scaled_features - scale[:, None] * scaled_expected) ** 2
+        excess = np.sqrt(
+            squared_residual[:, group_mask].mean(axis=1)
+            / np.maximum(squared_residual[:, other_mask].mean(axis=1), 1.0)
+        )
+        worse_mask = excess > largest_excess
+        noisy_mask[worse_mask], largest_excess[worse_mask] = group_mask, excess[worse_mask]
+    return noisy_mask

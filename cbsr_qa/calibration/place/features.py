@@ -22,7 +22,7 @@ _SAFE, _SAFE_CEILING = 0.8, 4.5
 
 
 def safe_ceilings(changes: Array) -> Array:
-    """Like :func:`ceilings_of`, but sound if up to a fifth of the presses are faulty."""
+    """Ceilings (m,) of :func:`ceilings_of` that stay sound if up to a fifth of the presses are faulty."""
     return _ceilings(changes, _SAFE, _SAFE_CEILING)
 
 
@@ -37,7 +37,7 @@ def _ceilings(changes: Array, level: float, times: float) -> Array:
 
 
 def spikes_among(changes: Array) -> Mask:
-    """Which readings (n, m) of presses are spikes, by the other presses."""
+    """Mask (n, m) of readings of presses that are spikes, judged by the other presses."""
     spikes = spikes_in(changes, ceilings_of(changes))
     if spikes.mean() > SPIKY:
         spikes |= spikes_in(changes, safe_ceilings(changes))
@@ -46,7 +46,7 @@ def spikes_among(changes: Array) -> Mask:
 
 
 def spikes_in(changes: Array, ceiling: Array) -> Mask:
-    """Which readings (n, m) are spikes: far larger than in other presses, and than most of the same press."""
+    """Mask (n, m) of readings that are spikes: far larger than in other presses, and than most of the same press."""
     sizes = np.abs(changes) / np.where(ceiling > 0, ceiling, np.inf)
     return sizes > _SPIKE * np.maximum(np.quantile(sizes, 0.9, axis=1, keepdims=True), 1.0)
 
@@ -67,7 +67,7 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
 
     Parameters
     ----------
-    likeness : (n,) of their features to the template, by least squares.
+    likeness : (n,) likeness of their features to the template, by least squares.
     """
     size = np.linalg.norm(_roots(readings, scaling), axis=1)
     strength: Array = (np.maximum(likeness, LEAST_LIKENESS) * size**scaling.damping) ** (1 / scaling.exponent)
@@ -75,7 +75,7 @@ def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Arra
 
 
 def more_than_spikes(lost: Mask, used: Mask) -> Mask:
-    """Which frames (n,) lost so many of the used readings (m,) that their size tells less; ``lost`` is (n, m)."""
+    """Mask (n,) of frames that lost so many of the used readings (m,) that sizes tell less; ``lost`` is (n, m)."""
     return np.asarray(lost[:, used].mean(axis=1) > _MORE_THAN_SPIKES)
 
 
@@ -88,9 +88,9 @@ def size_factors(known: Array, whole: Array, scaling: FeatureScaling) -> Array:
     ----------
     known, whole : (n, m) the features before, zero where they are lost, and after.
     """
-    before, after = (np.linalg.norm(features, axis=1) for features in (known, whole))
-    some = (before > 0) & (after > 0)
-    return (np.where(some, before, 1.0) / np.where(some, after, 1.0)) ** scaling.damping
+    size_before, size_after = (np.linalg.norm(features, axis=1) for features in (known, whole))
+    sized_mask = (size_before > 0) & (size_after > 0)
+    return (np.where(sized_mask, size_before, 1.0) / np.where(sized_mask, size_after, 1.0)) ** scaling.damping
 
 
 def _roots(readings: Array, scaling: FeatureScaling) -> Array:
@@ -109,14 +109,14 @@ def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:
     -------
     Its symmetries, the identity first.
     """
-    where = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
-    found = [
-        (*became, turn_by(2 * np.pi * step / electrodes, mirrored=mirror < 0))
+    index_by_pair = {tuple(pair): number for number, pair in enumerate(pairs.tolist())}
+    symmetries = [
+        (*mapping, turn_by(2 * np.pi * step / electrodes, mirrored=mirror < 0))
         for mirror in (1, -1)
         for step in range(electrodes)
-        if (became := _became((mirror * pairs + step) % electrodes, where)) is not None
+        if (mapping := _became((mirror * pairs + step) % electrodes, index_by_pair)) is not None
     ]
-    permuted, signs, turns = (np.array(part) for part in zip(*found, strict=True))
+    permuted, signs, turns = (np.array(part) for part in zip(*symmetries, strict=True))
     return PatternTurns(permuted.astype(np.int64), signs.astype(np.float64), turns)
 
 
@@ -124,12 +124,12 @@ def _became(pairs: Indices, where: dict[tuple[int, ...], int]) -> tuple[list[int
     """Indices and signs of readings in a pattern, or None if one is missing. Either polarity is the same reading."""
     numbers, signs = [], []
     for a, b, c, d in pairs.tolist():
-        same = [where[key] for key in ((a, b, c, d), (b, a, d, c)) if key in where]
-        opposite = [where[key] for key in ((b, a, c, d), (a, b, d, c)) if key in where]
-        if not same + opposite:
+        same_polarity = [where[key] for key in ((a, b, c, d), (b, a, d, c)) if key in where]
+        reversed_polarity = [where[key] for key in ((b, a, c, d), (a, b, d, c)) if key in where]
+        if not same_polarity + reversed_polarity:
             return None
-        numbers.append((same + opposite)[0])
-        signs.append(1 if same else -1)
+        numbers.append((same_polarity + reversed_polarity)[0])
+        signs.append(1 if same_polarity else -1)
     return (numbers, signs) if len(set(numbers)) == len(numbers) else None
 
 

@@ -12,11 +12,12 @@ from cbsr_qa.calibration.place.templates import TemplateLearning, fill_missing, 
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceMixture, PlaceProcess, PlaceScales
 
-#: Up to so many presses all but a few are located together, and hyperparameters are found anew without every tenth.
+#: Largest number of presses that are left out in blocks of a few, with hyperparameters from nine tenths of the
+#: presses; number of these blocks, and of the sets that hyperparameters leave out.
 _FEW: Final = 120
 _BLOCKS_OF_FEW: Final = 40
 _BLOCKS_WITH_SCALES: Final = 10
-#: Larger sets are left out in turn in this many blocks, in the order in which they were made.
+#: Number of blocks in which larger sets are left out in turn, in the order in which they were made.
 _BLOCKS: Final = 20
 #: Presses closer than this share of the radius are at the same place.
 _ONE_PLACE: Final = 0.01
@@ -36,7 +37,7 @@ class HeldOut:
     ----------
     mean_mm, stderr_mm : distance of the found from the true places.
     count : presses.
-    presses : (count,) their indices.
+    presses : (count,) indices of the presses.
     found_mm : (count, 2) places found.
     levels, held : (k,) nominal and actual coverage of regions; the sizes of the regions were found with other
         presses.
@@ -61,7 +62,7 @@ class HeldOut:
 class LeftOut:
     """Both estimates (k, 2) of presses (k,) from others.
 
-    Of the second also its covariance (k, 2, 2), misfit (k,), and the likeness (k, g) to templates over the grid.
+    The second has a covariance (k, 2, 2), a misfit (k,), and the likeness (k, g) to templates over the grid.
     """
 
     presses: Indices
@@ -76,14 +77,14 @@ class LeftOut:
         return LeftOut(*(getattr(self, field.name)[chosen] for field in fields(self)))
 
     def mixture(self, places_mm: Array, levels: Sequence[float] = LEVELS) -> PlaceMixture:
-        """The mixture that presses at places (n, 2) call for, with regions of some levels."""
+        """Mixture learned from presses at places (n, 2), with regions of some levels."""
         parts = self.process, self.templates, self.templates_covariance, places_mm[self.presses]
         return learn_mixture(*parts, visits_of(places_mm)[self.presses], levels)
 
     def apart(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
         """Errors (k, 2) of the mixed places, and dᵀΣ⁻¹d (k,) of them."""
-        found, covariance = mix_places(mixture, self.process, self.templates, self.templates_covariance)
-        error = places_mm[self.presses] - found
+        mixed_mm, covariance = mix_places(mixture, self.process, self.templates, self.templates_covariance)
+        error = places_mm[self.presses] - mixed_mm
         return error, mahalanobis(error, covariance)
 
 
@@ -97,7 +98,7 @@ class PressedSheet:
 
     @property
     def radius_mm(self) -> float:
-        """Of the circle about the centre that holds all presses."""
+        """Radius of the circle about the centre that holds all presses."""
         return float(np.linalg.norm(self.places_mm, axis=1).max())
 
     @property
@@ -110,42 +111,44 @@ class PressedSheet:
         return likely_scales(self.turns, self.features[presses], self.places_mm[presses])
 
     def template_learning(self) -> TemplateLearning:
-        """What learns the templates of the presses."""
+        """Learning of the templates of the presses."""
         return TemplateLearning(self.turns, self.features, self.places_mm, self.radius_mm)
 
     def blocks(self) -> list[Indices]:
         """Presses that are left out together."""
         visits = self.visits
         firsts = np.unique(visits)
-        most = _BLOCKS_OF_FEW if len(visits) <= _FEW else _BLOCKS
-        groups = np.array_split(firsts, min(most, len(firsts)))
+        most_blocks = _BLOCKS_OF_FEW if len(visits) <= _FEW else _BLOCKS
+        groups = np.array_split(firsts, min(most_blocks, len(firsts)))
         return [np.flatnonzero(np.isin(visits, group)) for group in groups]
 
     def fill(self, missing: Mask) -> "PressedSheet":
-        """The same with missing features (n, m) as presses of other blocks let expect, as in frames to come."""
+        """Sheet whose missing features (n, m) follow from presses of other blocks, as in frames to come."""
         learning, features = self.template_learning(), self.features.copy()
         for block in self.blocks():
-            some = block[missing[block].any(axis=1)]
-            if len(some):
+            presses = block[missing[block].any(axis=1)]
+            if len(presses):
                 templates = learning.leave_out_block(block)
-                features[some] = fill_missing(templates, predict_features(templates), features[some], missing[some])
+                features[presses] = fill_missing(
+                    templates, predict_features(templates), features[presses], missing[presses]
+                )
         return replace(self, features=features)
 
     def leave_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
         """Locate presses from presses of other blocks, at other places, and learn the process from all."""
         count, blocks = len(self.places_mm), self.blocks()
         places = np.full((count, 2), np.nan)
-        parts = self.presses_for_scales()
-        for learned, located in parts:
+        splits = self.presses_for_scales()
+        for learned, located in splits:
             process, inverse = condition_on_presses(self.likely(learned), self.turns, self.features, self.places_mm)
             predicted = leave_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
             places[located] = predicted[located]
-        if len(parts) > 1:
+        if len(splits) > 1:
             scales = self.likely(evenly(count, _FOR_SCALES))
             process, _ = condition_on_presses(scales, self.turns, self.features, self.places_mm)
-        some = np.flatnonzero(np.isfinite(places[:, 0]))
-        second = (each[some] for each in self._from_templates(learning, blocks, later))
-        return LeftOut(some, places[some], *second), process
+        located_presses = np.flatnonzero(np.isfinite(places[:, 0]))
+        template_estimates = (column[located_presses] for column in self._from_templates(learning, blocks, later))
+        return LeftOut(located_presses, places[located_presses], *template_estimates), process
 
     def misfit_growth(self, learning: TemplateLearning, sessions: float) -> float:
         """Factor by which misfits may have grown so many sessions later; 1 where they do not grow.
@@ -155,41 +158,43 @@ class PressedSheet:
         """
         count = len(self.places_mm)
         presses = np.arange(count)
-        apart, mixed = (
+        separated_misfit, mixed_misfit = (
             float(np.median(self._from_templates(learning, halves)[2]))
             for halves in ([presses[: count // 2], presses[count // 2 :]], [presses[::2], presses[1::2]])
         )
-        return max(1.0, 1 + (4 * sessions + 2 / 3) * (apart / mixed - 1))
+        return max(1.0, 1 + (4 * sessions + 2 / 3) * (separated_misfit / mixed_misfit - 1))
 
     def presses_for_scales(self) -> list[tuple[Indices, Indices]]:
         """Presses for hyperparameters, and presses at other places located with them."""
         count, visits = len(self.places_mm), self.visits
-        firsts = np.unique(visits)
+        visit_numbers = np.unique(visits)
         if count > _MANY * _FOR_SCALES:
-            groups = [firsts[evenly(len(firsts), min(_FOR_SCALES, len(firsts) // 2))]]
+            groups = [visit_numbers[evenly(len(visit_numbers), min(_FOR_SCALES, len(visit_numbers) // 2))]]
         elif count > _FEW:
-            groups = [firsts[::2], firsts[1::2]]
+            groups = [visit_numbers[::2], visit_numbers[1::2]]
         else:
-            groups = [group for group in np.array_split(firsts, _BLOCKS_WITH_SCALES) if len(group)]
-        inside = [np.isin(visits, group) for group in groups]
+            groups = [group for group in np.array_split(visit_numbers, _BLOCKS_WITH_SCALES) if len(group)]
+        group_masks = [np.isin(visits, group) for group in groups]
         if count <= _FEW:
-            return [(np.flatnonzero(~each), np.flatnonzero(each)) for each in inside]
-        learned = [np.flatnonzero(each) for each in inside]
+            return [(np.flatnonzero(~group_mask), np.flatnonzero(group_mask)) for group_mask in group_masks]
+        presses_by_group = [np.flatnonzero(group_mask) for group_mask in group_masks]
         return [
-            (some[evenly(len(some), _FOR_SCALES)], np.flatnonzero(~each))
-            for some, each in zip(learned, inside, strict=True)
+            (group_presses[evenly(len(group_presses), _FOR_SCALES)], np.flatnonzero(~group_mask))
+            for group_presses, group_mask in zip(presses_by_group, group_masks, strict=True)
         ]
 
     def _from_templates(
         self, learning: TemplateLearning, blocks: Sequence[Indices], later: Array | None = None
     ) -> tuple[Array, Array, Array, Array]:
-        found: list[tuple[Array, Array, Array, Array]] = []
+        estimates: list[tuple[Array, Array, Array, Array]] = []
         for block in blocks:
             templates, features = learning.leave_out_block(block, later), self.features[block]
-            found.append((*match(templates, features), likeness(predict_features(templates), features)))
+            estimates.append((*match(templates, features), likeness(predict_features(templates), features)))
         order = np.argsort(np.concatenate(blocks))
-        place, covariance, misfit, like = (np.concatenate(part)[order] for part in zip(*found, strict=True))
-        return place, covariance, misfit, like
+        place, covariance, misfit, press_likeness = (
+            np.concatenate(column)[order] for column in zip(*estimates, strict=True)
+        )
+        return place, covariance, misfit, press_likeness
 
 
 def visits_of(places_mm: Array) -> Indices:
@@ -206,16 +211,16 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
     """
     count, visits = len(out.presses), visits_of(places_mm)[out.presses]
     half_of = np.unique(visits, return_inverse=True)[1] % 2
-    found, inside = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
+    found_mm, covered_mask = np.empty((count, 2)), np.empty((count, len(_LEVELS)))
     for half in (0, 1):
-        located = np.flatnonzero(half_of == half)
+        located_presses = np.flatnonzero(half_of == half)
         mixture = out.select(half_of != half).mixture(places_mm, _LEVELS)
-        apart, ratio = out.select(located).apart(mixture, places_mm)
-        found[located] = places_mm[out.presses[located]] - apart
-        inside[located] = ratio[:, None] <= mixture.quantiles
-    error = np.linalg.norm(places_mm[out.presses] - found, axis=1)
+        offset_mm, ratio = out.select(located_presses).apart(mixture, places_mm)
+        found_mm[located_presses] = places_mm[out.presses[located_presses]] - offset_mm
+        covered_mask[located_presses] = ratio[:, None] <= mixture.quantiles
+    error = np.linalg.norm(places_mm[out.presses] - found_mm, axis=1)
     mean, stderr = mean_by_place(error, visits)
-    return HeldOut(mean, stderr, count, out.presses, found, np.array(_LEVELS), inside.mean(axis=0))
+    return HeldOut(mean, stderr, count, out.presses, found_mm, np.array(_LEVELS), covered_mask.mean(axis=0))
 
 
 def mean_by_place(values: Array, visits: Indices) -> tuple[float, float]:
@@ -228,11 +233,11 @@ def mean_by_place(values: Array, visits: Indices) -> tuple[float, float]:
 def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm: Array) -> float:
     """Factor by which squared errors of late presses exceed those of earlier ones, at least 1.
 
-    The mean of what the readings' misfit says, which few presses tell, and of what the places say, on a scale of
-    logarithms: there no single press counts much.
+    Geometric mean of the factor by the readings' misfit, for which few presses suffice, and of the factor by the
+    places. On a scale of logarithms no single press counts much.
     """
     misfit, ratio = (
-        [np.log(np.maximum(each, np.finfo(float).tiny)).mean() for each in pair]
+        [np.log(np.maximum(factors, np.finfo(float).tiny)).mean() for factors in pair]
         for pair in (
             (early.misfit, late.misfit),
             (early.apart(mixture, places_mm)[1], late.apart(mixture, places_mm)[1]),

@@ -50,11 +50,11 @@ _KNOWN_CENTRE: Final = 0.03
 #: Quantile of left-out presses that limits a touch's misfit, times an allowance for unseen presses.
 _MISFIT_LEVEL: Final = 0.98
 _MISFIT_ROOM: Final = 1.2
-#: A touch has at least this share of the 2 % quantile of learned sizes.
+#: Least size of a touch, as a share of the 2 % quantile of learned sizes.
 _SIZE_ROOM: Final = 0.5
-#: Places further from the nearest press than this many median distances of neighbours are outside.
+#: Distance from the nearest press, in median distances of neighbours, beyond which places are outside.
 _REACH: Final = 4.0
-#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
+#: Share of the errors of always guessing the middle above which readings are hardly informative.
 _POOR: Final = 0.6
 
 Tell = Callable[[str], None]
@@ -66,11 +66,12 @@ class FoundPresses:
 
     Parameters
     ----------
-    presses : (k,) their indices, in the order in which they were made.
-    place_mm, strength : (k, 2) and (k,) of the changes; see :class:`~cbsr_qa.calibration.place.places.Places`.
-    visits : (k,) the same for presses at one place.
-    session : when they were made.
-    drifts : whether readings were found to drift over it.
+    presses : (k,) indices of the presses, in the order in which they were made.
+    place_mm, strength : (k, 2) places and (k,) strengths of the changes; see
+        :class:`~cbsr_qa.calibration.place.places.Places`.
+    visits : (k,) number of the place, the same for presses at one place.
+    session : times when the presses were made.
+    drifts : True if readings were found to drift over the session.
     """
 
     presses: Indices
@@ -107,17 +108,18 @@ def learn_place(
 
     Parameters
     ----------
-    changes : (n, m) of the readings, by each press, in one unit; finite. Readings that are zero in all are not
+    changes : (n, m) changes of the readings by each press, in one unit; finite. Readings that are zero in all are not
         used, whatever they are later.
-    places_mm : (n, 2) of the presses, in any frame; in the order in which they were made, unless ``time_s`` says it.
+    places_mm : (n, 2) places of the presses in any frame; in the order in which they were made, unless ``time_s``
+        says it.
     pairs : (m, 4) source, sink, plus, minus, electrodes from 0; no reading twice.
-    electrodes : how many there are around the sheet, evenly spaced.
-    centre_mm : (2,) the sheet's centre in the frame of the presses; by default their middle.
-    axes : (2, 2) of the electrodes, as in ``LearnedPlace``, where they are known; those
+    electrodes : number of electrodes around the sheet, evenly spaced.
+    centre_mm : (2,) centre of the sheet in the frame of the presses; by default their middle.
+    axes : (2, 2) axes of the electrodes, as in ``LearnedPlace``, if they are known; those
         used are the likeliest.
-    time_s : (n,) of the presses; by default evenly in their order. Drift over it is extrapolated.
-    missing : (n, m) readings that are zero because they are not known; spikes are found here.
-    tell : receives the progress in words.
+    time_s : (n,) times of the presses; by default evenly spaced in their order. Drift over it is extrapolated.
+    missing : (n, m) mask of readings that are zero because they are not known; spikes are found here.
+    tell : function that receives the progress in words.
 
     Raises
     ------
@@ -134,33 +136,33 @@ def learn_place(
     turns = pattern_turns(pairs, electrodes)
     tell("finding how the electrodes lie")
     scaling, axes, centre = _frame(changes, places_mm, turns, axes, centre_mm)
-    about = places_mm - centre
-    sheet, less = _sheet(turns, changes, about @ axes.T, missing, scaling)
+    centred_mm = places_mm - centre
+    sheet, size_ratio = _sheet(turns, changes, centred_mm @ axes.T, missing, scaling)
     tell("finding how readings drift")
-    noisy = noisy_readings(pairs, sheet.features, sheet.template_learning().leave_out_each()[0])
-    if noisy.any():
-        changes = np.where(noisy, 0.0, changes)
-        sheet, less = _sheet(turns, changes, about @ axes.T, missing | noisy, scaling)
+    noisy_mask = noisy_readings(pairs, sheet.features, sheet.template_learning().leave_out_each()[0])
+    if noisy_mask.any():
+        changes = np.where(noisy_mask, 0.0, changes)
+        sheet, size_ratio = _sheet(turns, changes, centred_mm @ axes.T, missing | noisy_mask, scaling)
     learning = sheet.template_learning()
-    apart = learning.leave_out_each()
-    session = session_of(apart[0], time_s)
-    drift = find_drift(*apart, session)
+    errors_and_expected = learning.leave_out_each()
+    session = session_of(errors_and_expected[0], time_s)
+    drift = find_drift(*errors_and_expected, session)
     growth, later = 1.0, None
-    late = 0 if drift is None else drift.late
+    recheck_count = 0 if drift is None else drift.late
     if drift is not None:
         growth, later = sheet.misfit_growth(learning, drift.horizon), drift.later
         sheet = replace(sheet, features=sheet.features + drift.since)
         learning = sheet.template_learning()
     tell("locating presses that were left out")
-    out, process = sheet.leave_out(learning, later)
+    left_out, process = sheet.leave_out(learning, later)
     tell("learning from all presses")
-    rechecks = out.presses >= len(about) - late
-    early = out.select(~rechecks)
-    mixture, wider = early.mixture(sheet.places_mm), np.ones(2)
-    if rechecks.any():
-        growth = late_growth(mixture, early, out.select(rechecks), sheet.places_mm)
-        wider = few_presses_tell(int(rechecks.sum()))
-    mixture = replace(mixture, quantiles=mixture.quantiles * wider)
+    recheck_mask = left_out.presses >= len(centred_mm) - recheck_count
+    main_presses = left_out.select(~recheck_mask)
+    mixture, region_widening = main_presses.mixture(sheet.places_mm), np.ones(2)
+    if recheck_mask.any():
+        growth = late_growth(mixture, main_presses, left_out.select(recheck_mask), sheet.places_mm)
+        region_widening = few_presses_tell(int(recheck_mask.sum()))
+    mixture = replace(mixture, quantiles=mixture.quantiles * region_widening)
     size = np.sqrt((changes**2).mean(axis=1))
     model = LearnedPlace(
         scaling,
@@ -170,41 +172,48 @@ def learn_place(
         replace(mixture, spread=growth * mixture.spread),
         centre,
         axes,
-        misfit=float(_MISFIT_ROOM * growth * np.quantile(early.misfit, _MISFIT_LEVEL)),
+        misfit=float(_MISFIT_ROOM * growth * np.quantile(main_presses.misfit, _MISFIT_LEVEL)),
         least_size=float(_SIZE_ROOM * np.quantile(size, 1 - _MISFIT_LEVEL)),
-        reach_mm=_reach(about[np.unique(sheet.visits)]),
+        reach_mm=_reach(centred_mm[np.unique(sheet.visits)]),
     )
-    held_out = coverage_of(early, sheet.places_mm)
-    left_mm = sheet.places_mm[out.presses] - out.apart(mixture, sheet.places_mm)[0]
-    left_mm[~rechecks] = held_out.found_mm
-    like = interpolate_at_places(model.templates.grid_mm, out.likeness, left_mm) / less[out.presses]
-    strength, visits = strengths(changes[out.presses], like, scaling), sheet.visits[out.presses]
-    found = FoundPresses(
-        order[out.presses],
-        left_mm @ axes + centre,
+    held_out = coverage_of(main_presses, sheet.places_mm)
+    located_mm = sheet.places_mm[left_out.presses] - left_out.apart(mixture, sheet.places_mm)[0]
+    located_mm[~recheck_mask] = held_out.found_mm
+    left_out_likeness = (
+        interpolate_at_places(model.templates.grid_mm, left_out.likeness, located_mm) / size_ratio[left_out.presses]
+    )
+    strength, visits = (
+        strengths(changes[left_out.presses], left_out_likeness, scaling),
+        sheet.visits[left_out.presses],
+    )
+    found_presses = FoundPresses(
+        order[left_out.presses],
+        located_mm @ axes + centre,
         strength,
         visits,
-        session.select(out.presses),
+        session.select(left_out.presses),
         drifts=drift is not None,
     )
     held_out = replace(held_out, presses=order[held_out.presses], found_mm=held_out.found_mm @ axes + centre)
-    drifts = () if drift is None else (_drift_words(drift, np.sqrt(growth * wider)),)
-    warnings = *_warnings(held_out, sheet, process.scales), *_noise_words(noisy[np.argsort(order)]), *drifts
-    return PlaceLearned(model, held_out, found, warnings)
+    drifts = () if drift is None else (_drift_words(drift, np.sqrt(growth * region_widening)),)
+    warnings = *_warnings(held_out, sheet, process.scales), *_noise_words(noisy_mask[np.argsort(order)]), *drifts
+    return PlaceLearned(model, held_out, found_presses, warnings)
 
 
 def _sheet(
     turns: PatternTurns, changes: Array, places_mm: Array, missing: Mask, scaling: FeatureScaling
 ) -> tuple[PressedSheet, Array]:
-    """Features of presses, whose missing readings (n, m) are filled in, and how much less their sizes are (n,)."""
-    sheet, less = PressedSheet(turns, features_of(changes, scaling), places_mm), np.ones(len(changes))
+    """Features of presses, whose missing readings (n, m) are filled in, and the factors (n,) of their sizes."""
+    sheet, size_ratio = PressedSheet(turns, features_of(changes, scaling), places_mm), np.ones(len(changes))
     missing = missing & (scaling.ceiling > 0)
     if missing.any():
-        known, sheet = sheet.features, sheet.fill(missing)
-        fault = more_than_spikes(missing, scaling.ceiling > 0)
-        less[fault] = size_factors(known[fault], sheet.features[fault], scaling)
-        sheet = replace(sheet, features=sheet.features * less[:, None])
-    return sheet, less
+        known_features, sheet = sheet.features, sheet.fill(missing)
+        heavy_loss_mask = more_than_spikes(missing, scaling.ceiling > 0)
+        size_ratio[heavy_loss_mask] = size_factors(
+            known_features[heavy_loss_mask], sheet.features[heavy_loss_mask], scaling
+        )
+        sheet = replace(sheet, features=sheet.features * size_ratio[:, None])
+    return sheet, size_ratio
 
 
 def _noise_words(noisy: Mask) -> Iterator[str]:
@@ -244,28 +253,28 @@ def _frame(
     electrodes looks the same after half a turn, so half a turn of axes is tried, after those beside known ones: on a
     sheet that is not as modelled, readings may be symmetric about others (28° off on a real one).
     """
-    some = evenly(len(changes), _FOR_FRAME)
+    presses = evenly(len(changes), _FOR_FRAME)
     centre = (places_mm.min(axis=0) + places_mm.max(axis=0)) / 2 if centre_mm is None else np.asarray(centre_mm)
-    about = places_mm[some] - centre
-    stderr_mm = float(np.linalg.norm(about, axis=1).max()) * (_CENTRE if centre_mm is None else _KNOWN_CENTRE)
-    tried = _half_turn() if axes is None else np.concatenate([_turn_axes(axes), _half_turn()])
-    found = []
+    centred_mm = places_mm[presses] - centre
+    stderr_mm = float(np.linalg.norm(centred_mm, axis=1).max()) * (_CENTRE if centre_mm is None else _KNOWN_CENTRE)
+    candidate_axes = _half_turn() if axes is None else np.concatenate([_turn_axes(axes), _half_turn()])
+    candidates = []
     for damping in _DAMPINGS:
         scaling = FeatureScaling(_EXPONENT, damping, ceilings_of(changes))
-        features = features_of(changes[some], scaling)
+        features = features_of(changes[presses], scaling)
         likelihoods, centres = frames_likelihoods(
-            start_scales(turns, features, about), turns, features, about, tried, stderr_mm
+            start_scales(turns, features, centred_mm), turns, features, centred_mm, candidate_axes, stderr_mm
         )
         best = int(likelihoods.argmax())
-        clearly = _CLEARLY * len(some) * (damping - _DAMPINGS[0])
-        found.append((float(likelihoods[best]) - clearly, scaling, tried[best], centres[best]))
-    _, scaling, likely, shift = max(found, key=lambda each: each[0])
-    features = features_of(changes[some], scaling)
-    scales = likely_scales(turns, features, (about - shift) @ likely.T)
-    tried = np.concatenate([tried, _turn_axes(likely)])
-    likelihoods, centres = frames_likelihoods(scales, turns, features, about, tried, stderr_mm)
+        penalty = _CLEARLY * len(presses) * (damping - _DAMPINGS[0])
+        candidates.append((float(likelihoods[best]) - penalty, scaling, candidate_axes[best], centres[best]))
+    _, scaling, likely_axes, shift = max(candidates, key=lambda each: each[0])
+    features = features_of(changes[presses], scaling)
+    scales = likely_scales(turns, features, (centred_mm - shift) @ likely_axes.T)
+    candidate_axes = np.concatenate([candidate_axes, _turn_axes(likely_axes)])
+    likelihoods, centres = frames_likelihoods(scales, turns, features, centred_mm, candidate_axes, stderr_mm)
     best = int(likelihoods.argmax())
-    return scaling, tried[best], centre + centres[best]
+    return scaling, candidate_axes[best], centre + centres[best]
 
 
 def _half_turn() -> Array:

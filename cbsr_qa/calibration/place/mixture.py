@@ -16,16 +16,17 @@ _FOLDS: Final = 5
 #: Prior share, and the number of presses that the prior counts as.
 _PRIOR_SHARE: Final = 0.4
 _PRIOR_PRESSES: Final = 10.0
-#: Larger errors, in units of their median, as of spiky frames, are limited to this in the share.
+#: Limit of errors in the share, in units of their median; spiky frames have larger ones.
 _LARGE: Final = 3.0
-#: Of the logarithm of a weight from its initial value: beyond, covariances of rank one have no inverse in floats.
+#: Largest distance of the logarithm of a weight from its initial value: beyond, covariances of rank one have no
+#: inverse in floats.
 _FURTHEST: Final = 10.0
 
 
 def mix_places(mixture: PlaceMixture, first: Array, second: Array, second_covariance: Array) -> tuple[Array, Array]:
     """Mix places (n, 2) and (n, 2); returns places (n, 2) and covariances Σ (n, 2, 2)."""
-    apart = second - first
-    return first + mixture.share * apart, _covariance(mixture.spread, apart, second_covariance)
+    difference = second - first
+    return first + mixture.share * difference, _covariance(mixture.spread, difference, second_covariance)
 
 
 def learn_mixture(
@@ -41,21 +42,23 @@ def learn_mixture(
     Its quantiles, one per level, come from every press under a mixture of those at other places, so that no place
     judges itself; ``visits`` (n,) has one number per place.
     """
-    parts = first, second, second_covariance, places_mm
+    columns = first, second, second_covariance, places_mm
     ratio, numbers = np.empty(len(places_mm)), np.unique(visits, return_inverse=True)[1]
     for number in range(min(_FOLDS, int(numbers.max()) + 1)):
-        held = numbers % _FOLDS == number
-        share, spread = _fit_mixture(*(part[np.logical_not(held)] for part in parts))
+        held_out_mask = numbers % _FOLDS == number
+        share, spread = _fit_mixture(*(column[np.logical_not(held_out_mask)] for column in columns))
         mixture = PlaceMixture(share, spread, np.zeros(len(LEVELS)))
-        found, covariance = mix_places(mixture, first[held], second[held], second_covariance[held])
-        ratio[held] = mahalanobis(places_mm[held] - found, covariance)
-    share, spread = _fit_mixture(*parts)
+        mixed_mm, covariance = mix_places(
+            mixture, first[held_out_mask], second[held_out_mask], second_covariance[held_out_mask]
+        )
+        ratio[held_out_mask] = mahalanobis(places_mm[held_out_mask] - mixed_mm, covariance)
+    share, spread = _fit_mixture(*columns)
     return PlaceMixture(share, spread, np.array([quantile(ratio, level, visits) for level in levels]))
 
 
 def _fit_mixture(first: Array, second: Array, second_covariance: Array, places_mm: Array) -> tuple[float, Array]:
-    share, apart = _share(first, second, places_mm), second - first
-    return share, _spread(places_mm - first - share * apart, apart, second_covariance)
+    share, difference = _share(first, second, places_mm), second - first
+    return share, _spread(places_mm - first - share * difference, difference, second_covariance)
 
 
 def mahalanobis(error: Array, covariance: Array) -> Array:
@@ -72,13 +75,13 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
 
     Parameters
     ----------
-    ratio : (k,) of left-out presses.
+    ratio : (k,) squared errors dᵀΣ⁻¹d of left-out presses.
     visits : (k,) one number per place, by default one press each. Every place counts as one, since its presses err
         alike (Lee, Barber & Willett 2025, hierarchical conformal prediction).
     """
-    which = np.unique(np.arange(len(ratio)) if visits is None else visits, return_inverse=True)[1]
-    presses = np.bincount(which)
-    weight = 1 / (len(presses) * presses[which])
+    place_index = np.unique(np.arange(len(ratio)) if visits is None else visits, return_inverse=True)[1]
+    presses = np.bincount(place_index)
+    weight = 1 / (len(presses) * presses[place_index])
     if level * (len(presses) + 1) <= len(presses) - 0.5:
         order = np.argsort(ratio)
         return float(np.interp(level * (1 + 1 / len(presses)), np.cumsum(weight[order]), ratio[order]))
@@ -86,20 +89,20 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
 
 
 def few_presses_tell(count: int) -> Array:
-    """Factors (2,) by which regions of normal errors grow where their variance is told by few presses."""
+    """Factors (2,) by which regions of normal errors grow if few presses determine their variance."""
     levels = np.array(LEVELS)
     # Quantiles of F, and of chi-squared per degree of freedom. Loading scipy.stats for them would slow every run.
     return np.asarray(fdtri(2, 2 * count, levels) / gammaincinv(1, levels))
 
 
 def _share(first: Array, second: Array, places_mm: Array) -> float:
-    apart, error = second - first, places_mm - first
-    size = np.linalg.norm(error - 0.5 * apart, axis=1)
+    difference_mm, error = second - first, places_mm - first
+    size = np.linalg.norm(error - 0.5 * difference_mm, axis=1)
     limit = _LARGE * float(np.median(size))
     weight = 1 / np.maximum(1.0, size / max(limit, np.finfo(float).tiny)) ** 2
-    power = weight * (apart**2).sum(axis=1)
+    power = weight * (difference_mm**2).sum(axis=1)
     prior = _PRIOR_PRESSES * float(np.median(power))
-    share = ((weight[:, None] * apart * error).sum() + prior * _PRIOR_SHARE) / max(
+    share = ((weight[:, None] * difference_mm * error).sum() + prior * _PRIOR_SHARE) / max(
         power.sum() + prior, np.finfo(float).tiny
     )
     return float(np.clip(share, 0.0, 1.0))
@@ -107,18 +110,18 @@ def _share(first: Array, second: Array, places_mm: Array) -> float:
 
 def _spread(error: Array, apart: Array, second_covariance: Array) -> Array:
     """Weights (3,) of largest normal likelihood, in logarithms about a weak prior."""
-    parts = np.stack([_covariance(each, apart, second_covariance) for each in np.eye(3)])
+    unit_covariances = np.stack([_covariance(each, apart, second_covariance) for each in np.eye(3)])
     start = np.full(3, np.log(0.3))
     start[1] = np.log(max(float(np.median((error**2).sum(axis=1))), 1e-6) / 4)
 
     def surprise(logs: Array) -> tuple[float, Array]:
         weights = np.exp(logs)
-        inverse, determinant = _invert(np.tensordot(weights, parts, axes=1))
+        inverse, determinant = _invert(np.tensordot(weights, unit_covariances, axes=1))
         turned = np.einsum("nab,nb->na", inverse, error)
         value = np.einsum("na,na->", turned, error) + np.log(determinant).sum()
-        slope = np.einsum("knab,nab->k", parts, inverse - turned[:, :, None] * turned[:, None, :])
-        away = logs - start
-        return float(value + 0.1 * away @ away), weights * slope + 0.2 * away
+        slope = np.einsum("knab,nab->k", unit_covariances, inverse - turned[:, :, None] * turned[:, None, :])
+        deviation = logs - start
+        return float(value + 0.1 * deviation @ deviation), weights * slope + 0.2 * deviation
 
     bounds = Bounds(start - _FURTHEST, start + _FURTHEST)
     return np.exp(minimize(surprise, start, jac=True, method="L-BFGS-B", bounds=bounds).x)
@@ -132,6 +135,6 @@ def _invert(covariance: Array) -> tuple[Array, Array]:
 
 
 def _covariance(spread: Array, apart: Array, second_covariance: Array) -> Array:
-    between = apart[:, :, None] * apart[:, None, :]
-    covariance: Array = spread[0] * second_covariance + spread[1] * np.eye(2) + spread[2] * between
+    outer = apart[:, :, None] * apart[:, None, :]
+    covariance: Array = spread[0] * second_covariance + spread[1] * np.eye(2) + spread[2] * outer
     return covariance

@@ -33,7 +33,7 @@ class ModelledEstimator:
     Parameters
     ----------
     model : templates of the sheet.
-    registration : its pose in the frame of the presses.
+    registration : pose of the sheet in the frame of the presses.
     """
 
     def __init__(self, model: ModelledPlace, registration: SheetRegistration) -> None:
@@ -66,27 +66,31 @@ class ModelledEstimator:
         if changes.ndim != 2 or changes.shape[1] != len(self._answers):
             raise CalibrationError(f"changes of the shape {changes.shape}; (n, {len(self._answers)}) is expected")
         changes = changes[:, self._answers]
-        whole: Mask = np.asarray(np.isfinite(changes).all(axis=1))
-        changes = np.where(whole[:, None], changes, 0.0)
-        alike = unit_rows(changes) @ self._bank.T
-        place = self._registration.to_press_frame_mm(self._model.step_mm * most_alike(self._model.node, alike))
-        misfit, unlike = self._misfit(changes, self._templates[alike.argmax(axis=1)])
-        flags = np.where(whole, 0, int(Flag.UNREADABLE))
-        flags |= np.where(unlike | (not self._registration.trusted), int(Flag.NOT_AS_MODELLED), 0)
+        finite_mask: Mask = np.asarray(np.isfinite(changes).all(axis=1))
+        changes = np.where(finite_mask[:, None], changes, 0.0)
+        correlation = unit_rows(changes) @ self._bank.T
+        place = self._registration.to_press_frame_mm(self._model.step_mm * most_alike(self._model.node, correlation))
+        misfit, unlike_mask = self._misfit(changes, self._templates[correlation.argmax(axis=1)])
+        flags = np.where(finite_mask, 0, int(Flag.UNREADABLE))
+        flags |= np.where(unlike_mask | (not self._registration.trusted), int(Flag.NOT_AS_MODELLED), 0)
         covariance = self._model.variance_mm2 * np.eye(2) + self._registration.covariance_mm2(place)
         covariance *= self._model.widening
-        return Places(np.where(whole[:, None], place, np.nan), covariance, misfit, np.ones_like(misfit), flags)
+        return Places(np.where(finite_mask[:, None], place, np.nan), covariance, misfit, np.ones_like(misfit), flags)
 
     def _misfit(self, changes: Array, templates: Array) -> tuple[Array, Mask]:
         """Residual (n,) of the best templates over the allowed one, and whether it clearly exceeds it."""
         length = np.maximum((templates**2).sum(axis=1), np.finfo(np.float64).tiny)
         gain = (changes * templates).sum(axis=1) ** 2 / length
-        left = np.maximum((changes**2).sum(axis=1) - gain, 0.0)
+        residual_square = np.maximum((changes**2).sum(axis=1) - gain, 0.0)
         noise = self._model.noise**2
         freedom = templates.shape[1] - _UNKNOWNS if noise else 0
-        unlike = unlike_model(gain, left, freedom) if not noise else unlike_model(gain / noise, left / noise, freedom)
+        unlike_mask = (
+            unlike_model(gain, residual_square, freedom)
+            if not noise
+            else unlike_model(gain / noise, residual_square / noise, freedom)
+        )
         allowed = np.maximum(ALLOWANCE * gain, np.finfo(np.float64).tiny)
-        return np.maximum(left - noise * freedom, 0.0) / allowed, unlike
+        return np.maximum(residual_square - noise * freedom, 0.0) / allowed, unlike_mask
 
 
 def with_variance(model: ModelledPlace, error_mm: Array, quantiles: Array) -> ModelledPlace:
@@ -94,12 +98,12 @@ def with_variance(model: ModelledPlace, error_mm: Array, quantiles: Array) -> Mo
 
     Parameters
     ----------
-    quantiles : (2,) of dᵀΣ⁻¹d for regions of 68 and 95 %.
+    quantiles : (2,) quantiles of dᵀΣ⁻¹d for regions of 68 and 95 %.
     """
     squares = (error_mm**2).sum(axis=1) * len(error_mm) / (len(error_mm) - _POSE / 2)
     variance = max(float(squares.mean()) / 2, np.finfo(np.float64).tiny)
-    wanted = np.array([quantile(squares / variance, level) for level in LEVELS])
-    return replace(model, variance_mm2=variance, widening=float(np.max(wanted / quantiles)))
+    needed_quantiles = np.array([quantile(squares / variance, level) for level in LEVELS])
+    return replace(model, variance_mm2=variance, widening=float(np.max(needed_quantiles / quantiles)))
 
 
 def unit_rows(rows: Array) -> Array:
@@ -118,10 +122,10 @@ def log_likelihood(alike: Array) -> Array:
 
 def log_likelihood_slopes(alike: Array) -> tuple[Array, Array]:
     """First and second derivative of :func:`log_likelihood`."""
-    inside = (alike > 0) & (alike < _MOST_ALIKE)
-    left = 1 - np.clip(alike, 0.0, _MOST_ALIKE) ** 2
-    first, second = _INDEPENDENT * alike / left, _INDEPENDENT * (2 - left) / left**2
-    return np.where(inside, first, 0.0), np.where(inside, second, 0.0)
+    inside_mask = (alike > 0) & (alike < _MOST_ALIKE)
+    unexplained = 1 - np.clip(alike, 0.0, _MOST_ALIKE) ** 2
+    first, second = _INDEPENDENT * alike / unexplained, _INDEPENDENT * (2 - unexplained) / unexplained**2
+    return np.where(inside_mask, first, 0.0), np.where(inside_mask, second, 0.0)
 
 
 def most_alike(node: Indices, alike: Array) -> Array:
@@ -132,17 +136,17 @@ def most_alike(node: Indices, alike: Array) -> Array:
     node : (k, 2) columns and rows of the lattice.
     alike : (n, k) cosines of readings and templates.
     """
-    first = node.min(axis=0) - 1
-    number = np.full(node.max(axis=0) - first + 2, -1)
-    number[tuple((node - first).T)] = np.arange(len(node))
+    lowest_node = node.min(axis=0) - 1
+    number = np.full(node.max(axis=0) - lowest_node + 2, -1)
+    number[tuple((node - lowest_node).T)] = np.arange(len(node))
     best, press = alike.argmax(axis=1), np.arange(len(alike))
     place: Array = node[best].astype(np.float64)
     middle = log_likelihood(alike[press, best])
     for axis, step in enumerate(np.eye(2, dtype=np.int64)):
-        near = [number[tuple((node[best] - first + side * step).T)] for side in (-1, 1)]
-        below, above = (log_likelihood(alike[press, beside]) for beside in near)
-        bend = below + above - 2 * middle
-        inside = (near[0] >= 0) & (near[1] >= 0) & (bend < 0)
-        move = np.where(inside, (below - above) / np.where(bend < 0, 2 * bend, -1.0), 0.0)
+        neighbours = [number[tuple((node[best] - lowest_node + side * step).T)] for side in (-1, 1)]
+        below, above = (log_likelihood(alike[press, neighbour]) for neighbour in neighbours)
+        curvature = below + above - 2 * middle
+        interpolated_mask = (neighbours[0] >= 0) & (neighbours[1] >= 0) & (curvature < 0)
+        move = np.where(interpolated_mask, (below - above) / np.where(curvature < 0, 2 * curvature, -1.0), 0.0)
         place[:, axis] += np.clip(move, -0.5, 0.5)
     return place

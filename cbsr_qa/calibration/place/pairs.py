@@ -32,13 +32,13 @@ class DistinctPairs:
     @classmethod
     def from_pairs(cls, pairs: Indices) -> "DistinctPairs":
         """Return the distinct ones of pairs (columns, 4); a reversed pair differs, since a front end may rectify."""
-        _, first, which = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
-        order = np.argsort(first)
-        rank = np.argsort(order)[which.ravel()]
+        _, first_columns, pair_index = np.unique(pairs, axis=0, return_index=True, return_inverse=True)
+        order = np.argsort(first_columns)
+        rank = np.argsort(order)[pair_index.ravel()]
         repeats = np.bincount(rank)
         merging = np.zeros((len(pairs), len(order)))
         merging[np.arange(len(pairs)), rank] = 1 / repeats[rank]
-        return cls(pairs[first[order]], repeats, merging)
+        return cls(pairs[first_columns[order]], repeats, merging)
 
     @classmethod
     def from_pattern(cls, pattern: DrivePattern) -> "DistinctPairs":
@@ -49,7 +49,7 @@ class DistinctPairs:
 
 
 def measures_at_driven(pairs: Indices) -> Mask:
-    """Which of pairs (m, 4) measure at an electrode that they drive."""
+    """Mask (m,) of pairs (m, 4) that measure at an electrode that they drive."""
     at_driven: Mask = (pairs[:, :2, None] == pairs[:, None, 2:]).any(axis=(1, 2))
     return at_driven
 
@@ -71,21 +71,21 @@ def match_readings(wanted: Indices, given: Indices) -> Array:
     CalibrationError
         If a pair is missing, naming it.
     """
-    free = {tuple(pair): column for column, pair in enumerate(given.tolist())}
+    column_by_pair = {tuple(pair): column for column, pair in enumerate(given.tolist())}
     selection = np.zeros((len(given), len(wanted)))
-    left = dict(enumerate(map(tuple, wanted.tolist())))
+    unmatched = dict(enumerate(map(tuple, wanted.tolist())))
     for order, sign in _POLARITIES:
-        for reading, pair in list(left.items()):
-            column = free.pop(tuple(pair[k] for k in order), None)
+        for reading, pair in list(unmatched.items()):
+            column = column_by_pair.pop(tuple(pair[k] for k in order), None)
             if column is not None:
                 selection[column, reading] = sign
-                del left[reading]
-    missing = [",".join(map(str, pair)) for pair in left.values()]
-    if missing:
-        named = ", ".join(missing[:_MOST_NAMED]) + (", …" if len(missing) > _MOST_NAMED else "")
+                del unmatched[reading]
+    missing_pairs = [",".join(map(str, pair)) for pair in unmatched.values()]
+    if missing_pairs:
+        pair_list = ", ".join(missing_pairs[:_MOST_NAMED]) + (", …" if len(missing_pairs) > _MOST_NAMED else "")
         raise CalibrationError(
-            f"{len(missing)} of the {len(wanted)} readings that were calibrated are not in the pattern"
-            f" (source,sink,plus,minus): {named}",
+            f"{len(missing_pairs)} of the {len(wanted)} readings that were calibrated are not in the pattern"
+            f" (source,sink,plus,minus): {pair_list}",
             remedy="read every pair that was calibrated; order and polarity do not matter",
         )
     return selection

@@ -19,16 +19,16 @@ from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.learned_place import PatternTurns, PlaceProcess, PlaceScales
 
 _ITERATIONS: Final = 25  # L-BFGS steps; further ones gain less than 0.01 mm on left-out presses
-_FURTHEST: Final = 12.0  # of a logarithm from its initial value
+_FURTHEST: Final = 12.0  # largest distance of a logarithm from its initial value
 #: Weak log-normal priors: standard deviations of logarithms.
 _SPREAD_OF_SCALES: Final = 1.0  # of single readings about their mean: prevents 192 scales from fitting 100 presses
 _SPREAD_OF_LENGTH: Final = 1.4
 _SPREAD_OF_TURNING: Final = 2.0
 _SPREAD_OF_VARIANCE: Final = 3.0
 _SPREAD_OF_NOISE: Final = 1.4
-#: Presses whose squared distance is this share of the largest have the same features: rounding.
+#: Squared distance, as a share of the largest, of presses that differ by rounding alone.
 _ALIKE: Final = 1e-12
-#: Correlations that are computed at once: few enough for the cache.
+#: Number of correlations that are computed at once: few enough for the cache.
 _AT_ONCE: Final = 2**16
 #: Centre of the prior of the noise, relative to the variance of places.
 _NOISE_SHARE: Final = 0.005
@@ -37,17 +37,17 @@ _NOISE_SHARE: Final = 0.005
 def locate(process: PlaceProcess, turns: PatternTurns, features: Array) -> Array:
     """Expected places (k, 2) of features (k, m), about the centre in the electrodes' axes."""
     scales = process.scales
-    own = np.sqrt(scales.own)
-    near = matern(compute_squared_distances(features * own, process.features * own))
-    places: Array = scales.own_variance * near @ process.weights
-    scale = np.sqrt(scales.turning)
-    learned = process.features * scale
-    step = max(_AT_ONCE // (len(turns) * len(learned)), 1)
-    for first in range(0, len(features), step):
-        turned = features[first : first + step, turns.permuted] * (turns.signs * scale)
-        near = matern(compute_squared_distances(turned.reshape(-1, turned.shape[-1]), learned))
-        by_turn = (near @ process.weights).reshape(-1, len(turns), 2)
-        places[first : first + step] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
+    own_scale = np.sqrt(scales.own)
+    correlation = matern(compute_squared_distances(features * own_scale, process.features * own_scale))
+    places: Array = scales.own_variance * correlation @ process.weights
+    turning_scale = np.sqrt(scales.turning)
+    learned_features = process.features * turning_scale
+    chunk = max(_AT_ONCE // (len(turns) * len(learned_features)), 1)
+    for start in range(0, len(features), chunk):
+        turned = features[start : start + chunk, turns.permuted] * (turns.signs * turning_scale)
+        correlation = matern(compute_squared_distances(turned.reshape(-1, turned.shape[-1]), learned_features))
+        by_turn = (correlation @ process.weights).reshape(-1, len(turns), 2)
+        places[start : start + chunk] += scales.turning_variance * np.einsum("kgi,gji->kj", by_turn, turns.turns)
     return places
 
 
@@ -65,7 +65,7 @@ def leave_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) 
 
     Parameters
     ----------
-    inverse : of the covariance, as :func:`condition_on_presses` returns it.
+    inverse : inverse of the covariance, which :func:`condition_on_presses` returns.
 
     Returns
     -------
@@ -81,19 +81,19 @@ def leave_out(process: PlaceProcess, inverse: Array, blocks: Sequence[Indices]) 
 
 def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Array:
     count = len(features)
-    own = features * np.sqrt(scales.own)
+    own_features = features * np.sqrt(scales.own)
     covariance = np.zeros((count, 2, count, 2))
-    near = scales.own_variance * matern(compute_squared_distances(own, own))
-    covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = near
+    correlation = scales.own_variance * matern(compute_squared_distances(own_features, own_features))
+    covariance[:, 0, :, 0] = covariance[:, 1, :, 1] = correlation
     scaled = features * np.sqrt(scales.turning)
     for number, turn in enumerate(turns.turns):
         opposite = int(np.abs(turns.turns - turn.T).sum(axis=(1, 2)).argmin())
         if number > opposite:
             continue
-        near = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
-        covariance += near[:, None, :, None] * turn[None, :, None, :]
+        correlation = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
+        covariance += correlation[:, None, :, None] * turn[None, :, None, :]
         if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
-            covariance += near.T[:, None, :, None] * turn.T[None, :, None, :]
+            covariance += correlation.T[:, None, :, None] * turn.T[None, :, None, :]
     full: Array = covariance.reshape(2 * count, 2 * count)
     full[np.diag_indices(2 * count)] += scales.noise_variance
     return full
@@ -113,7 +113,7 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
 
     Parameters
     ----------
-    features, places_mm : (n, m) and (n, 2), about the centre, in the electrodes' frame.
+    features, places_mm : (n, m) features and (n, 2) places about the centre, in the electrodes' frame.
     """
     likelihood = _Likelihood(turns, features, places_mm)
     start = likelihood.start()
@@ -162,13 +162,13 @@ def frames_likelihoods(
     """
     factor = cholesky(_covariance(scales, turns, features), lower=True, check_finite=False)
     likelihoods, centres = np.empty(len(axes)), np.empty((len(axes), 2))
-    for number, each in enumerate(axes):
-        both = np.column_stack([(places_mm @ each.T).ravel(), np.tile(each, (len(places_mm), 1))])
-        white = solve_triangular(factor, both, lower=True, check_finite=False)
+    for number, frame_axes in enumerate(axes):
+        columns = np.column_stack([(places_mm @ frame_axes.T).ravel(), np.tile(frame_axes, (len(places_mm), 1))])
+        white = solve_triangular(factor, columns, lower=True, check_finite=False)
         precision = white[:, 1:].T @ white[:, 1:] + np.eye(2) / centre_stderr_mm**2
-        along = white[:, 1:].T @ white[:, 0]
-        centres[number] = np.linalg.solve(precision, along)
-        likelihoods[number] = -0.5 * (white[:, 0] @ white[:, 0] - along @ centres[number])
+        projections = white[:, 1:].T @ white[:, 0]
+        centres[number] = np.linalg.solve(precision, projections)
+        likelihoods[number] = -0.5 * (white[:, 0] @ white[:, 0] - projections @ centres[number])
     return likelihoods - np.log(np.diag(factor)).sum(), centres
 
 
@@ -181,16 +181,16 @@ class _Likelihood:
         self._orbit = turns.orbits()
         self._readings, self._orbits = features.shape[1], int(self._orbit.max()) + 1
         # Squared distances (orbits, n n g) in each orbit's readings, from every press to every press in every turn.
-        turned = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
-        turned = turned.reshape(-1, self._readings)
+        turned_features = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
+        turned_features = turned_features.reshape(-1, self._readings)
         self._apart = np.stack(
             [
-                compute_squared_distances(features[:, among], turned[:, among]).ravel()
+                compute_squared_distances(features[:, among], turned_features[:, among]).ravel()
                 for among in (self._orbit == number for number in range(self._orbits))
             ]
         )
-        apart = compute_squared_distances(features, features)[np.triu_indices(len(features), 1)]
-        different = apart[apart > _ALIKE * apart.max()]
+        squared_distances = compute_squared_distances(features, features)[np.triu_indices(len(features), 1)]
+        different = squared_distances[squared_distances > _ALIKE * squared_distances.max()]
         self._log_scale = -float(np.log(np.median(different))) if len(different) else 0.0
         self._log_variance = float(np.log(np.mean(self._y**2)))
 
@@ -203,30 +203,38 @@ class _Likelihood:
 
     def scales(self, logs: Array) -> PlaceScales:
         """Scales from their logarithms: three variances, the readings', and the orbits'."""
-        own, turning, noise = np.exp(logs[:3]).tolist()
-        each = np.exp(logs[3 : 3 + self._readings])
-        return PlaceScales(own, turning, noise, each, np.exp(logs[3 + self._readings :])[self._orbit])
+        own_variance, turning, noise = np.exp(logs[:3]).tolist()
+        own_scales = np.exp(logs[3 : 3 + self._readings])
+        return PlaceScales(own_variance, turning, noise, own_scales, np.exp(logs[3 + self._readings :])[self._orbit])
 
     def __call__(self, logs: Array) -> tuple[float, Array]:
         scales = self.scales(logs)
         gradient = np.zeros_like(logs)
-        own = self._features * np.sqrt(scales.own)
-        count, by_orbit = len(own), np.exp(logs[3 + self._readings :])
-        near, near_slope = matern_and_slope(compute_squared_distances(own, own))
-        turned, turned_slope = matern_and_slope(by_orbit @ self._apart)
+        own_features = self._features * np.sqrt(scales.own)
+        count, by_orbit = len(own_features), np.exp(logs[3 + self._readings :])
+        own_correlation, own_slope = matern_and_slope(compute_squared_distances(own_features, own_features))
+        turned_correlation, turned_slope = matern_and_slope(by_orbit @ self._apart)
         try:
-            factor, inverse = _invert(self._covariance(scales, near, turned.reshape(count * count, -1)))
+            factor, inverse = _invert(
+                self._covariance(scales, own_correlation, turned_correlation.reshape(count * count, -1))
+            )
         except np.linalg.LinAlgError:
             return 1e10, gradient
         weights = inverse @ self._y
         value = -0.5 * float(weights @ self._y) - float(np.log(np.diag(factor)).sum())
         slope = 0.5 * (np.outer(weights, weights) - inverse)
         blocks = slope.reshape(count, 2, count, 2)
-        both = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
-        along = (blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)).ravel()
-        gradient[:3] = (both * near).sum(), along @ turned, scales.noise_variance * np.trace(slope)
-        gradient[3 : 3 + self._readings] = scales.own * self._differentiate_by_scale(both * near_slope)
-        gradient[3 + self._readings :] = by_orbit * (self._apart @ (along * turned_slope))
+        own_gradient = scales.own_variance * (blocks[:, 0, :, 0] + blocks[:, 1, :, 1])
+        turn_gradient = (
+            blocks.transpose(0, 2, 1, 3).reshape(-1, 4) @ (scales.turning_variance * self._turns.T)
+        ).ravel()
+        gradient[:3] = (
+            (own_gradient * own_correlation).sum(),
+            turn_gradient @ turned_correlation,
+            scales.noise_variance * np.trace(slope),
+        )
+        gradient[3 : 3 + self._readings] = scales.own * self._differentiate_by_scale(own_gradient * own_slope)
+        gradient[3 + self._readings :] = by_orbit * (self._apart @ (turn_gradient * turned_slope))
         prior, prior_slope = self._prior(logs)
         return -(value + prior), -(gradient + prior_slope)
 
@@ -242,23 +250,23 @@ class _Likelihood:
 
     def _differentiate_by_scale(self, slope: Array) -> Array:
         """Σᵢⱼ slopeᵢⱼ (xᵢ − xⱼ)² for every reading, of a symmetric slope."""
-        by: Array = slope.sum(axis=1) @ self._features**2 - np.einsum(
+        derivative: Array = slope.sum(axis=1) @ self._features**2 - np.einsum(
             "nm,nm->m", self._features, slope @ self._features
         )
-        return 2 * by
+        return 2 * derivative
 
     def _prior(self, logs: Array) -> tuple[float, Array]:
-        own, turning = logs[3 : 3 + self._readings], logs[3 + self._readings :]
+        own_logs, turning_logs = logs[3 : 3 + self._readings], logs[3 + self._readings :]
         gradient = np.zeros_like(logs)
-        about = own - own.mean()
-        length, scales = own.mean() - self._log_scale, turning - self._log_scale
+        deviation = own_logs - own_logs.mean()
+        length, scales = own_logs.mean() - self._log_scale, turning_logs - self._log_scale
         variances = logs[:3] - [self._log_variance, self._log_variance, self._log_variance + np.log(_NOISE_SHARE)]
         spread = np.array([_SPREAD_OF_VARIANCE, _SPREAD_OF_VARIANCE, _SPREAD_OF_NOISE])
         gradient[:3] = -variances / spread**2
         gradient[3 : 3 + self._readings] = (
-            -about / _SPREAD_OF_SCALES**2 - length / _SPREAD_OF_LENGTH**2 / self._readings
+            -deviation / _SPREAD_OF_SCALES**2 - length / _SPREAD_OF_LENGTH**2 / self._readings
         )
         gradient[3 + self._readings :] = -scales / _SPREAD_OF_TURNING**2
-        value = (about @ about) / _SPREAD_OF_SCALES**2 + length**2 / _SPREAD_OF_LENGTH**2
+        value = (deviation @ deviation) / _SPREAD_OF_SCALES**2 + length**2 / _SPREAD_OF_LENGTH**2
         value += scales @ scales / _SPREAD_OF_TURNING**2 + ((variances / spread) ** 2).sum()
         return -0.5 * float(value), gradient

@@ -31,7 +31,7 @@ from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity, QuantityScales
 
-#: Presses that are kept, and presses for hyperparameters: the modelled function is smooth.
+#: Number of presses that are kept, and of those for hyperparameters: the modelled function is smooth.
 _KEPT: Final = 400
 _FOR_SCALES: Final = 150
 _ITERATIONS: Final = 30  # L-BFGS
@@ -41,12 +41,12 @@ _LINE: Final = 30.0
 #: pressed, and standard deviations of the logarithms.
 _MEDIANS: Final = np.array([1.0, 0.2, 0.05, 0.01, 0.01, 0.5])
 _DEVIATIONS: Final = np.array([2.0, 2.0, 2.0, 3.0, 3.0, 0.7])
-_FURTHEST: Final = 4.0  # in those deviations
+_FURTHEST: Final = 4.0  # largest distance from a median, in those deviations
 #: Standard deviations that hold 68 and 95 % of a normal distribution: how far lost readings may move a value.
 _NORMAL: Final = np.array([0.9945, 1.9600])
 #: Frames with one of these flags have no press to measure.
 _NO_PRESS: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE)
-#: Added to a diagonal, in units of the spread, to keep covariances of noiseless presses invertible.
+#: Term of the diagonal, in units of the spread, that keeps covariances of noiseless presses invertible.
 _LEAST_NOISE: Final = 1e-8
 
 
@@ -56,9 +56,9 @@ class Quantities:
 
     Parameters
     ----------
-    values : (n,) in the learned unit; NaN in frames flagged NOT_DETECTED or UNREADABLE.
+    values : (n,) values in the learned unit; NaN in frames flagged NOT_DETECTED or UNREADABLE.
     within_68, within_95 : (n, 2) lowest and highest of the interval of that probability; NaN where the value is.
-    below, above : (n,) whether a value is beyond all learned presses. Its intervals then reach back to them, and as
+    below, above : (n,) masks of values beyond all learned presses. Its intervals then reach back to them, and as
         far the other way, as the slope of the continuation is unknown.
     """
 
@@ -82,27 +82,35 @@ class QuantityEstimator:
 
     def __call__(self, places: Places) -> Quantities:
         """Return the quantity of presses at places."""
-        pressed = (places.flags & _NO_PRESS) == 0
-        unsure = np.broadcast_to(places.unsure, pressed.shape)[pressed]
-        found = self._estimate_presses(places.strength[pressed], places.place_mm[pressed], unsure)
-        values, within_68, within_95 = (
-            _spread_rows(pressed, each, np.nan) for each in (found.values, found.within_68, found.within_95)
+        pressed_mask = (places.flags & _NO_PRESS) == 0
+        log_strength_error = np.broadcast_to(places.unsure, pressed_mask.shape)[pressed_mask]
+        estimates = self._estimate_presses(
+            places.strength[pressed_mask], places.place_mm[pressed_mask], log_strength_error
         )
-        below, above = (_spread_rows(pressed, each, False) for each in (found.below, found.above))
+        values, within_68, within_95 = (
+            _spread_rows(pressed_mask, column, np.nan)
+            for column in (estimates.values, estimates.within_68, estimates.within_95)
+        )
+        below, above = (_spread_rows(pressed_mask, column, False) for column in (estimates.below, estimates.above))
         return Quantities(values, within_68, within_95, below, above)
 
     def _estimate_presses(self, strength: Array, place_mm: Array, unsure: Array) -> Quantities:
         process = self._process
         y, stderr = process.predict(strength, place_mm)
-        least, most = process.y.min(), process.y.max()
-        beyond = np.maximum(np.maximum(least - y, y - most), 0.0)
-        for_lost = process.change(strength, place_mm, unsure)
-        later = process.later(strength, self._learned.drift, self._learned.weak_drift)
-        half = (
-            np.hypot(self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(for_lost, later)) + beyond
+        smallest, largest = process.y.min(), process.y.max()
+        excess = np.maximum(np.maximum(smallest - y, y - largest), 0.0)
+        lost_change = process.change(strength, place_mm, unsure)
+        drift_change = process.later(strength, self._learned.drift, self._learned.weak_drift)
+        half_widths = (
+            np.hypot(
+                self._learned.quantiles[:, None] * stderr, _NORMAL[:, None] * np.hypot(lost_change, drift_change)
+            )
+            + excess
         )
-        inner, outer = (process.unscale(np.stack([y - each, y + each], axis=1)) for each in half)
-        return Quantities(process.unscale(y), inner, outer, below=y < least, above=y > most)
+        inner, outer = (
+            process.unscale(np.stack([y - half_width, y + half_width], axis=1)) for half_width in half_widths
+        )
+        return Quantities(process.unscale(y), inner, outer, below=y < smallest, above=y > largest)
 
 
 def learn_quantity(
@@ -119,42 +127,52 @@ def learn_quantity(
 
     Parameters
     ----------
-    strength, places_mm : (n,) and (n, 2) as found for each press when it was left out.
-    centre_mm : (2,) the sheet's, in the frame of the presses.
-    visits : (n,) the same for presses at one place; by default all are at different places.
-    session : when they were made; without it no drift is searched for.
-    drifts : whether other features of the presses are known to drift.
+    strength, places_mm : (n,) strength and (n, 2) place found for each press when it was left out.
+    centre_mm : (2,) centre of the sheet in the frame of the presses.
+    visits : (n,) number of the place, the same for presses at one place; by default all are at different places.
+    session : times when they were made; without it no drift is searched for.
+    drifts : True if other features of the presses are known to drift.
     """
-    late = 0 if session is None else session.late
-    some = np.append(evenly(len(values) - late, _KEPT - late), np.arange(len(values) - late, len(values)))
-    values = values[some]
-    visits = np.arange(len(some)) if visits is None else np.unique(visits[some], return_inverse=True)[1]
-    data = _Data(bool((values > 0).all()), centre_mm, strength[some], places_mm[some], values)
+    recheck_count = 0 if session is None else session.late
+    kept_presses = np.append(
+        evenly(len(values) - recheck_count, _KEPT - recheck_count),
+        np.arange(len(values) - recheck_count, len(values)),
+    )
+    values = values[kept_presses]
+    visits = (
+        np.arange(len(kept_presses)) if visits is None else np.unique(visits[kept_presses], return_inverse=True)[1]
+    )
+    data = _Data(bool((values > 0).all()), centre_mm, strength[kept_presses], places_mm[kept_presses], values)
     errors = _errors(data, visits)
     drift = None
     if session is not None:
-        weak = np.median(data.strength) / data.strength
-        drift = find_drift(errors[:, None], weak[:, None], session.select(some), certain=drifts)
-    added = (0.0, 0.0)
+        weakness = np.median(data.strength) / data.strength
+        drift = find_drift(errors[:, None], weakness[:, None], session.select(kept_presses), certain=drifts)
+    later_drift = (0.0, 0.0)
     if drift is not None:
-        added = _estimate_later_drift(drift, errors, weak)
-        process = _Process(_likely_scales(data, np.arange(len(some))), data)
+        later_drift = _estimate_later_drift(drift, errors, weakness)
+        process = _Process(_likely_scales(data, np.arange(len(kept_presses))), data)
         data = replace(data, values=process.unscale(process.y + drift.since[:, 0]))
         errors = _errors(data, visits)
-    scales = _likely_scales(data, np.arange(len(some)))
+    scales = _likely_scales(data, np.arange(len(kept_presses)))
     process = _Process(scales, data)
     stderr = process.leave_out(visits)[1]
-    early = np.arange(len(some) - late)
-    ratio, missed = (
-        (np.abs(errors) / stderr)[early],
-        np.abs(data.values - process.unscale(process.y - errors))[early],
+    main_presses = np.arange(len(kept_presses) - recheck_count)
+    ratio, absolute_error = (
+        (np.abs(errors) / stderr)[main_presses],
+        np.abs(data.values - process.unscale(process.y - errors))[main_presses],
     )
-    half = visits[early] % 2 == 1
-    covered = [
-        np.mean([(ratio[here] <= _quantile(ratio[~here], level)).mean() for here in (half, ~half)])
+    half_mask = visits[main_presses] % 2 == 1
+    coverage = [
+        np.mean(
+            [
+                (ratio[tested_mask] <= _quantile(ratio[~tested_mask], level)).mean()
+                for tested_mask in (half_mask, ~half_mask)
+            ]
+        )
         for level in LEVELS
     ]
-    error, error_stderr = mean_by_place(missed, visits[early])
+    error, error_stderr = mean_by_place(absolute_error, visits[main_presses])
     return LearnedQuantity(
         data.logarithmic,
         scales,
@@ -165,9 +183,9 @@ def learn_quantity(
         quantiles=np.array([_quantile(ratio, level) for level in LEVELS]),
         error=error,
         error_stderr=error_stderr,
-        covered=np.array(covered),
-        drift=added[0],
-        weak_drift=added[1],
+        covered=np.array(coverage),
+        drift=later_drift[0],
+        weak_drift=later_drift[1],
     )
 
 
@@ -175,9 +193,9 @@ def _errors(data: "_Data", visits: Indices) -> Array:
     """Errors (n,) of presses left out with all at their place, with hyperparameters of half of the other places."""
     errors = np.empty(len(visits))
     for half in (0, 1):
-        here = np.flatnonzero(visits % 2 == half)
+        half_presses = np.flatnonzero(visits % 2 == half)
         process = _Process(_likely_scales(data, np.flatnonzero(visits % 2 != half)), data)
-        errors[here] = process.leave_out(visits)[0][here]
+        errors[half_presses] = process.leave_out(visits)[0][half_presses]
     return errors
 
 
@@ -227,11 +245,13 @@ class _Process:
 
     def predict(self, strength: Array, places_mm: Array) -> tuple[Array, Array]:
         """Scaled values (k,) and their standard errors."""
-        u, about = self._scale(strength, places_mm)
-        near = _covariance(self._scales, u, about, self._u, self._about)
-        alone = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
-        known = np.einsum("kn,kn->k", near @ self._inverse, near)
-        return near @ self._weights, np.sqrt(np.maximum(alone - known, 0.0) + _noise(self._scales, u))
+        u, centred = self._scale(strength, places_mm)
+        covariance = _covariance(self._scales, u, centred, self._u, self._about)
+        prior_variance = _LINE * (1 + u**2) + self._scales.ring + self._scales.relief + self._scales.curve
+        explained_variance = np.einsum("kn,kn->k", covariance @ self._inverse, covariance)
+        return covariance @ self._weights, np.sqrt(
+            np.maximum(prior_variance - explained_variance, 0.0) + _noise(self._scales, u)
+        )
 
     def change(self, strength: Array, places_mm: Array, deviation: Array | float) -> Array:
         """Change (k,) of scaled values by a standard deviation of the logarithm of the strength."""
@@ -288,12 +308,12 @@ def _noise(scales: QuantityScales, u: Array) -> Array:
 
 def _likely_scales(data: _Data, presses: Indices) -> QuantityScales:
     """Hyperparameters from some presses, by maximum marginal likelihood times priors."""
-    some = data.select(presses[evenly(len(presses), _FOR_SCALES)])
+    sample = data.select(presses[evenly(len(presses), _FOR_SCALES)])
     start = np.log(_MEDIANS)
     start[-1] += np.log(np.linalg.norm(data.places_mm - data.centre_mm, axis=1).max())
 
     def surprise(logs: Array) -> float:
-        process = _Process(QuantityScales(*np.exp(logs).tolist()), some)
+        process = _Process(QuantityScales(*np.exp(logs).tolist()), sample)
         return 0.5 * float((((logs - start) / _DEVIATIONS) ** 2).sum()) - process.log_likelihood
 
     bounds = Bounds(start - _FURTHEST * _DEVIATIONS, start + _FURTHEST * _DEVIATIONS)

@@ -26,16 +26,16 @@ _NODES_ALONG_RADIUS: Final = 5.5
 #: Correlation lengths of readings that are tried, in radii of the pressed area.
 _LENGTHS: Final = (0.35, 0.5, 0.65, 1.0)
 _SHARED_LENGTH: Final = 0.65
-_RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # of noise to signal, as variances
+_RATIOS: Final = np.exp(np.linspace(-5, 5, 21))  # ratios of noise to signal, as variances
 _MARGIN: Final = 1.05
 #: Standard deviation of the weights of places beside one, in spacings of the grid.
 _SMOOTH: Final = 0.6
-#: Presses' worth of trust that the shared part has no offset.
+#: Number of presses that the prior of a shared part without offset counts as.
 _TRUST: Final = 5
-#: Times that missing readings are filled: the second time from places that the first made better.
+#: Number of times that missing readings are filled: the second time starts from the better places of the first.
 _FILLINGS: Final = 2
 NO_PRESS: Final[Indices] = np.arange(0)
-#: Presses for lengths and ratios; all presses are used for the templates.
+#: Number of presses for lengths and ratios; all presses are used for the templates.
 _FOR_LENGTHS: Final = 400
 
 
@@ -61,10 +61,12 @@ def fill_missing(templates: PlaceTemplates, expected: Array, features: Array, mi
     if not len(features):
         return features
     for _ in range(_FILLINGS):
-        about = _posterior(templates, features)[0] @ expected
-        known = np.where(missing, 0.0, about)
-        like = (features * known).sum(axis=1) / np.maximum((known**2).sum(axis=1), np.finfo(float).tiny)
-        features = np.where(missing, like[:, None] * about, features)
+        estimated = _posterior(templates, features)[0] @ expected
+        known_features = np.where(missing, 0.0, estimated)
+        factor = (features * known_features).sum(axis=1) / np.maximum(
+            (known_features**2).sum(axis=1), np.finfo(float).tiny
+        )
+        features = np.where(missing, factor[:, None] * estimated, features)
     return features
 
 
@@ -91,9 +93,9 @@ def likeness(expected: Array, features: Array) -> Array:
 def interpolate_at_places(grid_mm: Array, values: Array, places_mm: Array) -> Array:
     """Values (n, k) over a grid at a place (n, 2) each: a mean with Gaussian weights."""
     spacing_mm = float(np.diff(np.unique(grid_mm[:, 0])).min())
-    apart = compute_squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
-    near = np.exp(apart.min(axis=1, keepdims=True) - apart)
-    mean: Array = (near * values).sum(axis=1) / near.sum(axis=1)
+    scaled_distance = compute_squared_distances(places_mm, grid_mm) / (2 * (_SMOOTH * spacing_mm) ** 2)
+    weights = np.exp(scaled_distance.min(axis=1, keepdims=True) - scaled_distance)
+    mean: Array = (weights * values).sum(axis=1) / weights.sum(axis=1)
     return mean
 
 
@@ -104,59 +106,68 @@ class TemplateLearning:
 
     Parameters
     ----------
-    features, places_mm : (n, m) of presses and (n, 2), about the centre in the electrodes' axes.
-    radius_mm : that all places are within.
+    features, places_mm : (n, m) features and (n, 2) places of presses, about the centre in the electrodes' axes.
+    radius_mm : radius of a circle that holds all places.
     """
 
     def __init__(self, turns: PatternTurns, features: Array, places_mm: Array, radius_mm: float) -> None:
         self._features = features
         self._grid = _disc(radius_mm * _MARGIN, radius_mm * _MARGIN / _ALONG_RADIUS)
         self._shared = _Shared(turns, features, places_mm, self._grid, radius_mm * _MARGIN)
-        rest, _ = self._subtract_shared(NO_PRESS)
-        own = smoothness(rest, places_mm, radius_mm)
-        self._ratio = own.ratio
+        residual, _ = self._subtract_shared(NO_PRESS)
+        residual_smoothness = smoothness(residual, places_mm, radius_mm)
+        self._ratio = residual_smoothness.ratio
         self._inverse = np.linalg.inv(
-            _covariance_between(places_mm, places_mm, own.length_mm) + own.ratio * np.eye(len(rest))
+            _covariance_between(places_mm, places_mm, residual_smoothness.length_mm)
+            + residual_smoothness.ratio * np.eye(len(residual))
         )
-        near = _covariance_between(self._grid, places_mm, own.length_mm)
-        self._near = near @ self._inverse
-        self._explained = np.einsum("kn,kn->k", self._near, near)
+        grid_covariance = _covariance_between(self._grid, places_mm, residual_smoothness.length_mm)
+        self._near = grid_covariance @ self._inverse
+        self._explained = np.einsum("kn,kn->k", self._near, grid_covariance)
 
     def leave_out_block(self, block: Indices, later: Array | None = None) -> PlaceTemplates:
         """Templates of all presses but those of a block; ``later`` (n, m): a standard deviation of drift to come."""
-        rest, on_grid = self._subtract_shared(block)
-        weights = self._inverse @ rest
-        near = self._near[:, block]
-        taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], near.T]))
-        on_grid += self._near @ rest - near @ taken[:, : rest.shape[1]]
-        explained = self._explained - np.einsum("kb,bk->k", near, taken[:, rest.shape[1] :])
+        residual, on_grid = self._subtract_shared(block)
+        weights = self._inverse @ residual
+        block_weights = self._near[:, block]
+        block_solution = np.linalg.solve(
+            self._inverse[np.ix_(block, block)], np.column_stack([weights[block], block_weights.T])
+        )
+        on_grid += self._near @ residual - block_weights @ block_solution[:, : residual.shape[1]]
+        explained_variance = self._explained - np.einsum(
+            "kb,bk->k", block_weights, block_solution[:, residual.shape[1] :]
+        )
         errors = self._errors(block, weights)
         covariance = _shrunk_covariance(errors) + (0.0 if later is None else later.T @ later / len(later))
         whitening = np.linalg.cholesky(np.linalg.inv(covariance))
-        uncertainty = np.maximum(1 - explained, 0.0) / self._ratio
+        uncertainty = np.maximum(1 - explained_variance, 0.0) / self._ratio
         return PlaceTemplates(self._grid, whitening, on_grid @ whitening, uncertainty)
 
     def leave_out_each(self) -> tuple[Array, Array]:
-        """What every press (n, m) differs by from the templates of all others, and those templates."""
+        """Difference (n, m) of every press from the templates of all others, and those templates."""
         errors = self._errors(NO_PRESS, self._inverse @ self._subtract_shared(NO_PRESS)[0])
         return errors, self._features - errors
 
     def _subtract_shared(self, block: Indices) -> tuple[Array, Array]:
-        """What the shared part of all presses but a block leaves of features (n, m), and that part on the grid."""
-        there, on_grid = self._shared.leave_out_block(block)
-        rest = self._features - there
-        others = len(rest) - len(block)
-        offset = (rest.sum(axis=0) - rest[block].sum(axis=0)) / (others + _TRUST)
-        return rest - offset, on_grid + offset
+        """Features (n, m) less the shared part of all presses but a block, and that part on the grid."""
+        at_presses, on_grid = self._shared.leave_out_block(block)
+        residual = self._features - at_presses
+        other_count = len(residual) - len(block)
+        offset = (residual.sum(axis=0) - residual[block].sum(axis=0)) / (other_count + _TRUST)
+        return residual - offset, on_grid + offset
 
     def _errors(self, block: Indices, weights: Array) -> Array:
-        """What each press that is not in a block differs by from templates of all others that are not in it."""
-        others = np.setdiff1d(np.arange(len(weights)), block)
-        between = self._inverse[np.ix_(others, block)]
-        taken = np.linalg.solve(self._inverse[np.ix_(block, block)], np.column_stack([weights[block], between.T]))
+        """Difference of each press outside a block from the templates of all others outside it."""
+        other_presses = np.setdiff1d(np.arange(len(weights)), block)
+        cross_precision = self._inverse[np.ix_(other_presses, block)]
+        block_solution = np.linalg.solve(
+            self._inverse[np.ix_(block, block)], np.column_stack([weights[block], cross_precision.T])
+        )
         readings = weights.shape[1]
-        precision = np.diag(self._inverse)[others] - np.einsum("ab,ba->a", between, taken[:, readings:])
-        errors: Array = (weights[others] - between @ taken[:, :readings]) / precision[:, None]
+        precision = np.diag(self._inverse)[other_presses] - np.einsum(
+            "ab,ba->a", cross_precision, block_solution[:, readings:]
+        )
+        errors: Array = (weights[other_presses] - cross_precision @ block_solution[:, :readings]) / precision[:, None]
         return errors
 
 
@@ -175,8 +186,8 @@ def smoothness(rest: Array, places_mm: Array, radius_mm: float) -> Smoothness:
     ----------
     rest, places_mm : (n, m) features without their shared part, and (n, 2).
     """
-    some = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), _FOR_LENGTHS)).astype(np.int64))
-    rest, places_mm = rest[some], places_mm[some]
+    sample = np.unique(np.linspace(0, len(rest) - 1, min(len(rest), _FOR_LENGTHS)).astype(np.int64))
+    rest, places_mm = rest[sample], places_mm[sample]
     best = (-np.inf, Smoothness(radius_mm, 1.0))
     for length in radius_mm * np.array(_LENGTHS):
         eigenvalues, vectors = np.linalg.eigh(_covariance_between(places_mm, places_mm, length))
@@ -195,7 +206,7 @@ class _Shared:
     Parameters
     ----------
     grid_mm : (k, 2) places that they are wanted at, beside those of the presses.
-    radius_mm : that all places are within.
+    radius_mm : radius of a circle that holds all places.
     """
 
     def __init__(
@@ -203,35 +214,39 @@ class _Shared:
     ) -> None:
         nodes = _Nodes(radius_mm)
         orbit = turns.orbits()
-        first = np.array([int(np.flatnonzero(orbit == number)[0]) for number in range(int(orbit.max()) + 1)])
-        by = np.zeros(len(orbit), dtype=np.int64)  # the turn that makes the first of an orbit that reading
+        first_readings = np.array([int(np.flatnonzero(orbit == number)[0]) for number in range(int(orbit.max()) + 1)])
+        # The turn that maps the first reading of an orbit to each reading.
+        turn_by_reading = np.zeros(len(orbit), dtype=np.int64)
         self._sign = np.empty(len(orbit))
         for number in reversed(range(len(turns))):
-            made = turns.permuted[number][first]
-            by[made], self._sign[made] = number, turns.signs[number][first]
-        self._values = np.stack([turns.forth(features, number)[:, first] for number in range(len(turns))])
+            turned_readings = turns.permuted[number][first_readings]
+            turn_by_reading[turned_readings], self._sign[turned_readings] = (
+                number,
+                turns.signs[number][first_readings],
+            )
+        self._values = np.stack([turns.forth(features, number)[:, first_readings] for number in range(len(turns))])
         self._basis = np.stack([nodes.basis(places_mm @ turn.T) for turn in turns.turns])
         self._sums = self._sum_moments(np.arange(len(places_mm)))
         self._made = [
             (readings, orbit[readings], nodes.basis(places_mm @ turn), nodes.basis(grid_mm @ turn))
             for number, turn in enumerate(turns.turns)
-            if len(readings := np.flatnonzero(by == number))
+            if len(readings := np.flatnonzero(turn_by_reading == number))
         ]
 
     def leave_out_block(self, block: Indices) -> tuple[Array, Array]:
         """Features at the presses (n, m) and on the grid (k, m), learned from all presses but those of a block."""
-        squares, along, basis, total, values = (
+        squares, projections, basis, total, values = (
             of_all - of_block for of_all, of_block in zip(self._sums, self._sum_moments(block), strict=True)
         )
         presses = self._basis.shape[1] - len(block)
         count = presses * len(self._basis)  # each press once in every turn
         mean = values / count
-        weights = _ridge(squares, along - np.outer(basis, mean), total - count * mean**2, count, presses)
-        there, on_grid = (np.empty((len(each), len(self._sign))) for each in self._made[0][2:])
-        for readings, orbit, here, grid in self._made:
-            there[:, readings] = here @ weights[:, orbit] + mean[orbit]
-            on_grid[:, readings] = grid @ weights[:, orbit] + mean[orbit]
-        return there * self._sign, on_grid * self._sign
+        weights = _ridge(squares, projections - np.outer(basis, mean), total - count * mean**2, count, presses)
+        at_presses, on_grid = (np.empty((len(place_basis), len(self._sign))) for place_basis in self._made[0][2:])
+        for readings, orbit, press_basis, grid_basis in self._made:
+            at_presses[:, readings] = press_basis @ weights[:, orbit] + mean[orbit]
+            on_grid[:, readings] = grid_basis @ weights[:, orbit] + mean[orbit]
+        return at_presses * self._sign, on_grid * self._sign
 
     def _sum_moments(self, block: Indices) -> tuple[Array, ...]:
         """Moments of a block's basis functions and values, in every turn."""
@@ -245,16 +260,16 @@ class _Nodes:
     """Functions of place that have covariances with few nodes alone."""
 
     def __init__(self, radius_mm: float) -> None:
-        apart = radius_mm / _NODES_ALONG_RADIUS
-        self._nodes_mm = _disc(radius_mm + 1.2 * apart, apart)
+        spacing_mm = radius_mm / _NODES_ALONG_RADIUS
+        self._nodes_mm = _disc(radius_mm + 1.2 * spacing_mm, spacing_mm)
         self._length_mm = _SHARED_LENGTH * radius_mm
         covariance = _covariance_between(self._nodes_mm, self._nodes_mm, self._length_mm)
         self._factor = cholesky(covariance + 1e-6 * np.eye(len(covariance)), lower=True)
 
     def basis(self, places_mm: Array) -> Array:
         """Values (n, nodes) at places (n, 2) of functions that are independent of one another, of variance one."""
-        near = _covariance_between(self._nodes_mm, places_mm, self._length_mm)
-        return solve_triangular(self._factor, near, lower=True, check_finite=False).T
+        covariance = _covariance_between(self._nodes_mm, places_mm, self._length_mm)
+        return solve_triangular(self._factor, covariance, lower=True, check_finite=False).T
 
 
 def _ridge(squares: Array, along: Array, total: Array, count: int, presses: int) -> Array:
@@ -287,9 +302,9 @@ def _shrunk_covariance(errors: Array) -> Array:
     scaled = errors / deviation
     correlation = scaled.T @ scaled / count
     variance = ((scaled**2).T @ scaled**2 / count - correlation**2) / count
-    apart = np.logical_not(np.eye(readings, dtype=bool))
-    squared = max(float((correlation[apart] ** 2).sum()), np.finfo(float).tiny)
-    shrinkage = min(max(float(variance[apart].sum()) / squared, 0.01), 1.0)
+    off_diagonal = np.logical_not(np.eye(readings, dtype=bool))
+    squared = max(float((correlation[off_diagonal] ** 2).sum()), np.finfo(float).tiny)
+    shrinkage = min(max(float(variance[off_diagonal].sum()) / squared, 0.01), 1.0)
     shrunk = (1 - shrinkage) * correlation + shrinkage * np.eye(readings)
     covariance: Array = shrunk * np.outer(deviation, deviation)
     return covariance
@@ -301,8 +316,8 @@ def _covariance_between(a: Array, b: Array, length_mm: float) -> Array:
 
 def _disc(radius_mm: float, spacing_mm: float) -> Array:
     """Places (k, 2) on a square lattice within a radius."""
-    along = np.arange(np.floor(radius_mm / spacing_mm) + 1) * spacing_mm
-    along = np.concatenate([-along[:0:-1], along])
-    places: Array = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
-    inside: Array = places[np.linalg.norm(places, axis=1) <= radius_mm * (1 + 1e-9)]
-    return inside
+    axis_mm = np.arange(np.floor(radius_mm / spacing_mm) + 1) * spacing_mm
+    axis_mm = np.concatenate([-axis_mm[:0:-1], axis_mm])
+    places: Array = np.stack(np.meshgrid(axis_mm, axis_mm), axis=-1).reshape(-1, 2)
+    inside_mm: Array = places[np.linalg.norm(places, axis=1) <= radius_mm * (1 + 1e-9)]
+    return inside_mm

@@ -22,29 +22,31 @@ def ascend(jet: Jet, starts: Array) -> tuple[Array, Array]:
 
     Curvatures count by their size, so that steps lead up from saddles too.
     """
-    at, climbing = starts.copy(), np.arange(len(starts))
-    value, slope, bend = jet(at, climbing)
-    stiffness = np.full(len(at), _STIFFNESS)
+    parameters, climbing = starts.copy(), np.arange(len(starts))
+    value, slope, bend = jet(parameters, climbing)
+    stiffness = np.full(len(parameters), _STIFFNESS)
     for _ in range(_MOST_STEPS):
         step = _steps(slope[climbing], bend[climbing], stiffness[climbing])
-        new = jet(at[climbing] + step, climbing)
-        up = new[0] > value[climbing]
-        risen = climbing[up]
-        at[risen] += step[up]
-        value[risen], slope[risen], bend[risen] = (part[up] for part in new)
-        stiffness[climbing] *= np.where(up, _LESS, _MORE)
+        new_jet = jet(parameters[climbing] + step, climbing)
+        improved_mask = new_jet[0] > value[climbing]
+        improved_starts = climbing[improved_mask]
+        parameters[improved_starts] += step[improved_mask]
+        value[improved_starts], slope[improved_starts], bend[improved_starts] = (
+            part[improved_mask] for part in new_jet
+        )
+        stiffness[climbing] *= np.where(improved_mask, _LESS, _MORE)
         climbing = climbing[np.linalg.norm(step, axis=1) > _SHORTEST]
         if not len(climbing):
             break
-    return at, value
+    return parameters, value
 
 
 def _steps(slope: Array, bend: Array, stiffness: Array) -> Array:
     curvature, axes = np.linalg.eigh(bend)
     size = np.abs(curvature)
     size += stiffness[:, None] * np.maximum(size.max(axis=1, keepdims=True), np.finfo(np.float64).tiny)
-    along = (slope[:, None, :] @ axes)[:, 0] / size
-    step: Array = (axes @ along[..., None])[..., 0]
+    slope_along = (slope[:, None, :] @ axes)[:, 0] / size
+    step: Array = (axes @ slope_along[..., None])[..., 0]
     length = np.linalg.norm(step, axis=1, keepdims=True)
     shortened: Array = step * (_LONGEST / np.maximum(length, _LONGEST))
     return shortened

@@ -27,7 +27,7 @@ _MOST_NAMED: Final = 5
 #: Share of readings at one end of their range from which they are clipped, if so many times fewer are at the next
 #: value: coarse readings have ends too, that most of them do not reach.
 _CLIPPED, _TIMES_NEXT = 0.01, 10
-#: A reading that is faulty in a larger share of the presses tells nothing of the place in the others either.
+#: Largest share of presses in which a reading may be faulty and still tell something of the place in the others.
 _MOSTLY: Final = 0.5
 #: Readings, relative to their range, that are equal but for rounding.
 _ROUNDING: Final = 1e-9
@@ -35,13 +35,13 @@ _ROUNDING: Final = 1e-9
 
 @dataclass(frozen=True, slots=True, eq=False)
 class DeadReadings:
-    """What presses do not tell.
+    """Readings that tell nothing of the place.
 
     Parameters
     ----------
     dead : (n, m) uninformative readings.
     findings : remarks on them for a person.
-    left_out : (n,) why a press is left out; empty for others.
+    left_out : (n,) reason why a press is left out; empty for others.
     """
 
     dead: Mask
@@ -57,78 +57,86 @@ def find_dead_readings(
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
-    changes : (n, m) by presses at places (n, 2).
-    rest, noise : (m,) of the unloaded sheet where the readings are whole frames.
+    changes : (n, m) changes of the readings by presses at places (n, 2).
+    rest, noise : (m,) readings of the unloaded sheet and their noise, where the readings are whole frames.
     """
-    faulty, flags, spikes = _faulty(pairs, changes, rest, noise)
-    still = np.ptp(changes, axis=0) == 0
-    changes = np.where(spikes | faulty, 0.0, changes)
-    followed = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
-    followed[still] = 0.0
-    followed[faulty.mean(axis=0) > _MOSTLY] = 0.0
-    dead, findings = np.zeros(len(pairs), dtype=np.bool_), []
-    of_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
-    while not dead.all():  # worst first: its neighbours' readings involve it too
-        left = {electrode: followed[of & ~dead] for electrode, of in of_electrode.items() if (of & ~dead).any()}
-        usual = {electrode: float(np.mean(each)) for electrode, each in left.items()}
-        worst, middle = min(usual, key=lambda electrode: usual[electrode]), float(np.median(list(usual.values())))
-        if not (usual[worst] < _LEAST * middle and middle > _FOLLOWS):
-            break
-        of = of_electrode[worst]
-        how = "never change" if still[of].all() else "do not follow the place of the press"
-        findings.append(f"electrode {worst} is dead: its {int(of.sum())} readings {how}, and are left out")
-        dead |= of
-    still &= ~dead
-    dead |= still
-    if still.any():
-        named = "; ".join(",".join(map(str, pair)) for pair in pairs[still][:_MOST_NAMED].tolist())
-        more = "; …" if still.sum() > _MOST_NAMED else ""
-        findings.append(
-            f"{int(still.sum())} of {len(pairs)} readings never change, and are left out (source,sink,plus,minus):"
-            f" {named}{more}"
+    faulty_mask, flags, spike_mask = _faulty(pairs, changes, rest, noise)
+    constant_mask = np.ptp(changes, axis=0) == 0
+    changes = np.where(spike_mask | faulty_mask, 0.0, changes)
+    followed_share = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
+    followed_share[constant_mask] = 0.0
+    followed_share[faulty_mask.mean(axis=0) > _MOSTLY] = 0.0
+    dead_mask, findings = np.zeros(len(pairs), dtype=np.bool_), []
+    mask_by_electrode = {int(electrode): (pairs == electrode).any(axis=1) for electrode in np.unique(pairs)}
+    while not dead_mask.all():  # worst first: its neighbours' readings involve it too
+        shares_by_electrode = {
+            electrode: followed_share[electrode_mask & ~dead_mask]
+            for electrode, electrode_mask in mask_by_electrode.items()
+            if (electrode_mask & ~dead_mask).any()
+        }
+        mean_by_electrode = {electrode: float(np.mean(shares)) for electrode, shares in shares_by_electrode.items()}
+        worst, median_share = (
+            min(mean_by_electrode, key=lambda electrode: mean_by_electrode[electrode]),
+            float(np.median(list(mean_by_electrode.values()))),
         )
-    spikes &= ~dead
-    if spikes.mean() > SPIKY:
-        row, reading = np.argwhere(spikes)[0].tolist()
+        if not (mean_by_electrode[worst] < _LEAST * median_share and median_share > _FOLLOWS):
+            break
+        electrode_mask = mask_by_electrode[worst]
+        reason = "never change" if constant_mask[electrode_mask].all() else "do not follow the place of the press"
         findings.append(
-            f"{spikes.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
+            f"electrode {worst} is dead: its {int(electrode_mask.sum())} readings {reason}, and are left out"
+        )
+        dead_mask |= electrode_mask
+    constant_mask &= ~dead_mask
+    dead_mask |= constant_mask
+    if constant_mask.any():
+        pair_list = "; ".join(",".join(map(str, pair)) for pair in pairs[constant_mask][:_MOST_NAMED].tolist())
+        ellipsis = "; …" if constant_mask.sum() > _MOST_NAMED else ""
+        findings.append(
+            f"{int(constant_mask.sum())} of {len(pairs)} readings never change, and are left out"
+            f" (source,sink,plus,minus): {pair_list}{ellipsis}"
+        )
+    spike_mask &= ~dead_mask
+    if spike_mask.mean() > SPIKY:
+        row, reading = np.argwhere(spike_mask)[0].tolist()
+        findings.append(
+            f"{spike_mask.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
             f" column {reading + 1} of the distinct readings"
         )
-    further = faulty & ~dead
-    lost = further.sum(axis=1) > MOST_FAULTY * (~dead).sum()
-    left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost, flags.tolist(), strict=True))
-    some = np.flatnonzero(further.any(axis=1) & ~lost)
-    if some.size:
+    further_mask = faulty_mask & ~dead_mask
+    lost_mask = further_mask.sum(axis=1) > MOST_FAULTY * (~dead_mask).sum()
+    left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost_mask, flags.tolist(), strict=True))
+    affected = np.flatnonzero(further_mask.any(axis=1) & ~lost_mask)
+    if affected.size:
         findings.append(
-            f"presses with faulty readings, which are left out: {some.size}; the first is row {some[0] + 1}:"
-            f" {_fault_words(int(flags[some[0]]))}"
+            f"presses with faulty readings, which are left out: {affected.size}; the first is row"
+            f" {affected[0] + 1}: {_fault_words(int(flags[affected[0]]))}"
         )
-    return DeadReadings(dead | spikes | faulty | lost[:, None], tuple(findings), left_out)
+    return DeadReadings(dead_mask | spike_mask | faulty_mask | lost_mask[:, None], tuple(findings), left_out)
 
 
 def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | None) -> tuple[Mask, Indices, Mask]:
     """Readings (n, m) that faults spoil in single presses, flags (n,), and spikes (n, m)."""
-    faulty, flags = np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64)
+    faulty_mask, flags = np.zeros(changes.shape, dtype=np.bool_), np.zeros(len(changes), dtype=np.int64)
     if rest is not None:
-        found = FaultFinder(pairs, rest, np.zeros(len(rest)) if noise is None else noise)(rest + changes)
-        faulty, flags = found.left_out, found.flags
-    changes = np.where(faulty, 0.0, changes)
-    spikes = spikes_among(changes)
-    ceiling, lost = safe_ceilings(np.where(spikes, 0.0, changes)), faulty | spikes
-    further, flags_of = FaultyGroups(pairs)(
-        changes, ceiling, lost, np.zeros_like(lost)
-    )  # spikes have their own words
-    return faulty | further, flags | flags_of, spikes
+        frame_faults = FaultFinder(pairs, rest, np.zeros(len(rest)) if noise is None else noise)(rest + changes)
+        faulty_mask, flags = frame_faults.left_out, frame_faults.flags
+    changes = np.where(faulty_mask, 0.0, changes)
+    spike_mask = spikes_among(changes)
+    ceiling, lost_mask = safe_ceilings(np.where(spike_mask, 0.0, changes)), faulty_mask | spike_mask
+    # Spikes are left out here: they have their own words.
+    group_faults, flags_of = FaultyGroups(pairs)(changes, ceiling, lost_mask, np.zeros_like(lost_mask))
+    return faulty_mask | group_faults, flags | flags_of, spike_mask
 
 
 def _fault_words(flags: int) -> str:
-    words = {
+    words_by_flag = {
         Flag.DEAD_PAIR: "a pair hardly drives or measures",
         Flag.OPEN_ELECTRODE: "nothing comes through an electrode",
         Flag.SATURATED: "readings stand at one extreme value",
         Flag.OFFSET: "one offset is added to all readings",
     }
-    return "; ".join(why for flag, why in words.items() if flag & flags)
+    return "; ".join(why for flag, why in words_by_flag.items() if flag & flags)
 
 
 def estimate_clipped_share(changes: Array, rest: Array | None) -> float:
@@ -136,7 +144,7 @@ def estimate_clipped_share(changes: Array, rest: Array | None) -> float:
 
     Parameters
     ----------
-    changes, rest : (n, m) by presses, and (m,) of the unloaded sheet where the readings are whole frames. Zero is no
+    changes, rest : (n, m) changes by presses, and (m,) readings of the unloaded sheet, for whole frames. Zero is no
         such end: front ends that rectify give it.
     """
     frames = changes if rest is None else changes + rest
@@ -146,7 +154,7 @@ def estimate_clipped_share(changes: Array, rest: Array | None) -> float:
     if len(values) < 3:
         return 0.0
     ends = [(values[0], counts[0], counts[1]), (values[-1], counts[-1], counts[-2])]
-    cut = [count for value, count, beside in ends if value and count > _TIMES_NEXT * beside]
+    cut = [count for value, count, next_count in ends if value and count > _TIMES_NEXT * next_count]
     return float(sum(count for count in cut if count > _CLIPPED * frames.size)) / frames.size
 
 
@@ -159,6 +167,6 @@ def _share_of_neighbours(changes: Array, place_mm: Array) -> Array:
     size = np.median(np.abs(roots), axis=1, keepdims=True)
     roots = roots / np.where(size > 0, size, 1.0)
     nearest = np.asarray(cKDTree(place_mm).query(place_mm, k=_NEIGHBOURS + 1)[1])[:, 1:]
-    apart = ((roots[:, None] - roots[nearest]) ** 2).mean(axis=(0, 1))
-    followed: Array = 1 - apart / np.maximum(2 * roots.var(axis=0), np.finfo(float).tiny)
+    difference = ((roots[:, None] - roots[nearest]) ** 2).mean(axis=(0, 1))
+    followed: Array = 1 - difference / np.maximum(2 * roots.var(axis=0), np.finfo(float).tiny)
     return followed

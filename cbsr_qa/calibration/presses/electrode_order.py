@@ -31,7 +31,7 @@ _CLEAR, _LESS_LEFT = 4.0, 0.85
 
 #: Share of the signal that another numbering must explain: among many, one explains a little of any sheet.
 _LEAST_SIGNAL: Final = 0.3
-#: Log likelihoods that differ by less are equal.
+#: Difference of log likelihoods below which they are equal.
 _ALIKE: Final = 1.0
 
 
@@ -41,8 +41,8 @@ class ElectrodeOrder:
 
     Parameters
     ----------
-    registered : with that order.
-    pairs : (m, 4) as wired.
+    registered : registration with that order.
+    pairs : (m, 4) pairs as they are wired.
     findings : differences from the pattern, in words.
     """
 
@@ -61,10 +61,10 @@ def find_electrode_order(
     order = ElectrodeOrder(register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated), pairs)
     order = _other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
     for _ in range(_MOST_EXCHANGES):
-        better = _find_exchange(sheet, order, changes, place_mm, radius_stated=radius_stated)
-        if better is None:
+        exchanged = _find_exchange(sheet, order, changes, place_mm, radius_stated=radius_stated)
+        if exchanged is None:
             break
-        order = better
+        order = exchanged
     return order
 
 
@@ -73,24 +73,24 @@ def _find_exchange(
 ) -> ElectrodeOrder | None:
     """The best single exchange of two electrodes, if it explains the presses clearly better."""
     count = sheet.electrode_count
-    chosen = np.flatnonzero(sheet.clear(order.registered.places))
-    if count > _MOST_ELECTRODES or not len(chosen):
+    chosen_presses = np.flatnonzero(sheet.clear(order.registered.places))
+    if count > _MOST_ELECTRODES or not len(chosen_presses):
         return None
-    chosen = chosen[evenly(len(chosen), _TRIED)]
-    evidence_of = _Evidence(sheet, order.registered, changes, chosen)
-    before = evidence_of(order.pairs).sum()
+    chosen_presses = chosen_presses[evenly(len(chosen_presses), _TRIED)]
+    evidence_of = _Evidence(sheet, order.registered, changes, chosen_presses)
+    evidence_before = evidence_of(order.pairs).sum()
     exchanges = list(combinations(np.unique(order.pairs).tolist(), 2))  # one that is in no pair shows in no reading
     evidence = [evidence_of(_swap(order.pairs, pair)).sum() for pair in exchanges]
     for number in np.argsort(evidence)[::-1][:_REGISTERED]:
         pair = exchanges[number]
-        if evidence[number] <= before:
+        if evidence[number] <= evidence_before:
             break
         pairs = _swap(order.pairs, pair)
         registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
         if _clearly_better(sheet, order, registered, pairs, changes):
-            found = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
-            words = f"{found}: {_share_words(order.registered, registered)}"
-            return ElectrodeOrder(registered, pairs, (*order.findings, words))
+            exchange_words = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
+            finding = f"{exchange_words}: {_share_words(order.registered, registered)}"
+            return ElectrodeOrder(registered, pairs, (*order.findings, finding))
     return None
 
 
@@ -104,19 +104,21 @@ def _other_numbering(
     """
     if _leaves_out_driven(order.pairs):
         return None
-    few, near = evenly(len(changes), _FEW), order.registered.registration
-    before = maximise_over_turns(sheet, order.pairs, changes[few], place_mm[few], near)
+    sample, near = evenly(len(changes), _FEW), order.registered.registration
+    likelihood_before = maximise_over_turns(sheet, order.pairs, changes[sample], place_mm[sample], near)
     numberings = list(_numberings(order.pairs, sheet.electrode_count))
-    values = [maximise_over_turns(sheet, pairs, changes[few], place_mm[few], near) for pairs, _ in numberings]
-    if max(values) <= before:
+    values = [maximise_over_turns(sheet, pairs, changes[sample], place_mm[sample], near) for pairs, _ in numberings]
+    if max(values) <= likelihood_before:
         return None
     # With opposite drive, half a turn of the measuring electrodes equals the other polarity.
-    pairs, words = next(each for each, value in zip(numberings, values, strict=True) if value > max(values) - _ALIKE)
+    pairs, numbering_words = next(
+        numbering for numbering, value in zip(numberings, values, strict=True) if value > max(values) - _ALIKE
+    )
     registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
-    found, likelier = registered.registration, registered.likelihood > order.registered.likelihood + _ALIKE
-    if not (found.trusted and found.signal_share > _LEAST_SIGNAL and likelier):
+    registration, likelier = registered.registration, registered.likelihood > order.registered.likelihood + _ALIKE
+    if not (registration.trusted and registration.signal_share > _LEAST_SIGNAL and likelier):
         return None
-    return ElectrodeOrder(registered, pairs, (f"{words}: {_share_words(order.registered, registered)}",))
+    return ElectrodeOrder(registered, pairs, (f"{numbering_words}: {_share_words(order.registered, registered)}",))
 
 
 def _leaves_out_driven(pairs: Indices) -> bool:
@@ -124,10 +126,10 @@ def _leaves_out_driven(pairs: Indices) -> bool:
 
     Then driving and measuring electrodes are numbered alike: by another numbering it would measure at driven ones.
     """
-    drives, measures = (np.unique(part, axis=0) for part in (pairs[:, :2], pairs[:, 2:]))
+    drives, measures = (np.unique(columns, axis=0) for columns in (pairs[:, :2], pairs[:, 2:]))
     at_driven = (drives[:, None, :, None] == measures[None, :, None, :]).any(axis=(2, 3))
-    clear = len(np.unique(pairs, axis=0)) == np.count_nonzero(~at_driven)
-    return bool(at_driven.any()) and clear and not measures_at_driven(pairs).any()
+    is_distinct = len(np.unique(pairs, axis=0)) == np.count_nonzero(~at_driven)
+    return bool(at_driven.any()) and is_distinct and not measures_at_driven(pairs).any()
 
 
 def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
@@ -137,8 +139,8 @@ def _numberings(pairs: Indices, count: int) -> Iterator[tuple[Indices, str]]:
                 continue
             measured = ((-pairs[:, 2:] if reverse else pairs[:, 2:]) + shift) % count
             way = "the other way round, " if reverse else ""
-            words = f"measuring electrodes seem to be numbered {way}from electrode {shift} of the driving ones"
-            yield np.column_stack([pairs[:, :2], measured]), words
+            finding = f"measuring electrodes seem to be numbered {way}from electrode {shift} of the driving ones"
+            yield np.column_stack([pairs[:, :2], measured]), finding
 
 
 def _swap(pairs: Indices, exchange: tuple[int, int]) -> Indices:
@@ -156,8 +158,8 @@ class _Evidence:
 
     def __call__(self, pairs: Indices) -> Array:
         answers = answering_side(self._sheet, pairs, self._changes).answers
-        alike = alikeness(self._changes[:, answers], self._loads.readings(pairs[answers]))
-        return log_likelihood(alike)
+        correlation = alikeness(self._changes[:, answers], self._loads.readings(pairs[answers]))
+        return log_likelihood(correlation)
 
 
 def _clearly_better(
@@ -166,10 +168,10 @@ def _clearly_better(
     before, after = order.registered.registration, other.registration
     if not after.trusted or 1 - after.signal_share > _LESS_LEFT * (1 - before.signal_share):
         return False
-    inside = sheet.clear(order.registered.places) & sheet.clear(other.places)
-    chosen = np.flatnonzero(inside)[evenly(int(inside.sum()), _TRIED)]
-    gain = _Evidence(sheet, other, changes, chosen)(pairs)
-    gain = gain - _Evidence(sheet, order.registered, changes, chosen)(order.pairs)
+    inside_mask = sheet.clear(order.registered.places) & sheet.clear(other.places)
+    chosen_presses = np.flatnonzero(inside_mask)[evenly(int(inside_mask.sum()), _TRIED)]
+    gain = _Evidence(sheet, other, changes, chosen_presses)(pairs)
+    gain = gain - _Evidence(sheet, order.registered, changes, chosen_presses)(order.pairs)
     spread = float(gain.std(ddof=1)) if len(gain) > 1 else np.inf
     return bool(gain.mean() > _CLEAR * spread / np.sqrt(len(gain)))
 

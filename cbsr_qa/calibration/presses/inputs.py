@@ -19,7 +19,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 #: Allowed distance of a press beyond the edge of the sheet, of its radius: labels, scale and radius are inexact.
 _BEYOND = 1.15
 _MOST_NAMED = 5
-#: Readings, relative to their size, that differ by less between presses are equal.
+#: Difference of readings between presses, relative to their size, below which they are equal.
 _ALIKE = 1e-6
 #: Presses were made in the order of their places if these explain more than half of the times' variance, which they
 #: do by chance in one case of a thousand.
@@ -36,9 +36,9 @@ class PressReadings:
 
     Parameters
     ----------
-    path : of their table.
-    distinct : the pairs.
-    changes : (n, m) by each press.
+    path : path of their table.
+    distinct : distinct pairs of the readings.
+    changes : (n, m) changes by each press.
     rest : (m,) reference of frames; None if the table has changes.
     noise : (m,) standard deviation of one frame; None with fewer than two frames at rest.
     """
@@ -56,7 +56,7 @@ class LabelledPresses:
 
     Parameters
     ----------
-    radius_stated : whether the sensor type states the sheet's size; otherwise it is estimated.
+    radius_stated : True if the sensor type states the sheet's size; False to estimate it.
     """
 
     sensor_type: SensorType
@@ -78,9 +78,9 @@ class LabelledPresses:
         time = np.arange(len(x)) if self.presses.time_s is None else self.presses.time_s
         design = np.column_stack([np.ones(len(x)), x, y, x * x, x * y, y * y])
         design /= np.maximum(np.abs(design).max(axis=0), np.finfo(float).tiny)
-        rest = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
+        residual = time - design @ np.linalg.lstsq(design, time, rcond=None)[0]
         degrees = len(x) - design.shape[1]
-        unexplained = float(np.sum(rest**2) / np.sum((time - time.mean()) ** 2))
+        unexplained = float(np.sum(residual**2) / np.sum((time - time.mean()) ** 2))
         if degrees < 1 or unexplained > _UNORDERED:
             return False
         ratio = (1 - unexplained) / max(unexplained, 1e-12) * degrees / (design.shape[1] - 1)
@@ -98,7 +98,7 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
 
     Parameters
     ----------
-    pairs : (columns, 4) of the tables' columns, in their order.
+    pairs : (columns, 4) electrode pairs of the tables' columns, in their order.
 
     Raises
     ------
@@ -129,11 +129,11 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             f"{readings.path} has {len(changes)} rows; at most {MOST_PRESSES} presses are learned from",
             remedy="leave out rows evenly over the sheet, in both tables",
         )
-    some = np.any(changes != 0, axis=1)
-    if not some.any():
+    changing_mask = np.any(changes != 0, axis=1)
+    if not changing_mask.any():
         raise RecordingError(f"{readings.path}: no reading changes in any row", remedy=_WHAT_READINGS)
     _refuse_tiny(readings)
-    directions = changes[some] / np.linalg.norm(changes[some], axis=1, keepdims=True)
+    directions = changes[changing_mask] / np.linalg.norm(changes[changing_mask], axis=1, keepdims=True)
     if np.ptp(directions, axis=0).max() < _ALIKE:
         raise RecordingError(
             f"{readings.path}: all rows are proportional to each other, wherever the press was"
@@ -141,20 +141,22 @@ def check_rows(readings: PressReadings, presses: PressTable) -> None:
             else f"{readings.path}: only one row with changes",
             remedy=_WHAT_READINGS,
         )
-    for first, second in _find_repeated(changes):
-        if some[second]:
-            at = "" if np.array_equal(*presses.place_mm[[first, second]]) else ", though the places differ"
+    for first_row, second_row in _find_repeated(changes):
+        if changing_mask[second_row]:
+            place_remark = (
+                "" if np.array_equal(*presses.place_mm[[first_row, second_row]]) else ", though the places differ"
+            )
             raise RecordingError(
-                f"{readings.path} row {second + 1} repeats row {first + 1} in every column{at}: the press appears"
-                " twice",
+                f"{readings.path} row {second_row + 1} repeats row {first_row + 1} in every column{place_remark}:"
+                " the press appears twice",
                 remedy="leave out one of the two, in both tables",
             )
     if presses.time_s is not None:
         labels = np.column_stack([presses.place_mm, presses.time_s])
-        for first, second in _find_repeated(labels):
+        for first_row, second_row in _find_repeated(labels):
             raise RecordingError(
-                f"{table.path} row {second + 1}, columns x_mm, y_mm and time_s: the same as row {first + 1}; the"
-                " press appears twice",
+                f"{table.path} row {second_row + 1}, columns x_mm, y_mm and time_s: the same as row"
+                f" {first_row + 1}; the press appears twice",
                 remedy="leave out one of the two, in both tables",
             )
 
@@ -173,27 +175,27 @@ def _refuse_tiny(readings: PressReadings) -> None:
 
 def check_near(presses: PressTable, radius_mm: float) -> None:
     """Check that presses may lie within a sheet at any position; RecordingError names file, rows and places."""
-    away = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
-    _refuse_outside(presses, away > 2 * _BEYOND * radius_mm, radius_mm)
+    distance_mm = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
+    _refuse_outside(presses, distance_mm > 2 * _BEYOND * radius_mm, radius_mm)
 
 
 def check_inside(presses: PressTable, registration: SheetRegistration) -> None:
     """Check that presses lie on the registered sheet; RecordingError names file, rows and places."""
-    away = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
-    _refuse_outside(presses, away > _BEYOND * registration.radius_mm, registration.radius_mm)
+    distance_mm = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
+    _refuse_outside(presses, distance_mm > _BEYOND * registration.radius_mm, registration.radius_mm)
 
 
 def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> None:
     rows = np.flatnonzero(outside)
     if not rows.size:
         return
-    named = "; ".join(
+    row_list = "; ".join(
         f"row {row + 1}, columns x_mm and y_mm: ({x:g}, {y:g}) mm"
         for row, (x, y) in zip(rows[:_MOST_NAMED], presses.place_mm[rows[:_MOST_NAMED]], strict=True)
     )
     raise RecordingError(
         f"{presses.table.path}: {rows.size} of {len(outside)} presses are outside the sheet of {radius_mm:.3g} mm"
-        f" radius: {named}",
+        f" radius: {row_list}",
         remedy="correct the places, or the radius in the sensor type",
     )
 
@@ -210,8 +212,8 @@ def _columns(path: Path, count: int) -> Array:
 
 def _find_repeated(rows: Array) -> Iterator[tuple[int, int]]:
     """Yield rows that are equal to an earlier one, as (earlier, later)."""
-    seen: dict[bytes, int] = {}
+    row_by_bytes: dict[bytes, int] = {}
     for number, row in enumerate(np.ascontiguousarray(rows + 0.0)):
-        first = seen.setdefault(row.tobytes(), number)
+        first = row_by_bytes.setdefault(row.tobytes(), number)
         if first != number:
             yield first, number

@@ -36,13 +36,13 @@ from cbsr_qa.domain.results.press_calibration import (
 from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Scales this close to one are within the errors of mounting and modelling.
+#: Largest difference of a scale from one that errors of mounting and modelling explain.
 _SCALE_OFF: Final = 0.1
-#: Presses so close together are not on a sheet of millimetres.
+#: Least extent of the presses on a sheet whose places are in millimetres.
 _SMALL_MM: Final = 1.0
 #: Largest excess of a frame's mean square over that of its noise by chance, in standard deviations.
 _NOISE_ROOM: Final = 3.3
-#: Errors above this share of those of always guessing the middle mean that readings are hardly informative.
+#: Share of the errors of always guessing the middle above which readings are hardly informative.
 _POOR: Final = 0.6
 _MADE_BY: Final = "labelled presses; no station made this calibration"
 _MIRRORED: Final = (
@@ -75,14 +75,14 @@ class Identity:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PressesLearned:
-    """What was learned from labelled presses.
+    """Results of learning from labelled presses.
 
     Parameters
     ----------
-    findings : on readings, electrodes and sheet, in words.
-    used : (n,) whether each press was used. Left-out presses are numbered among those used.
-    why_not : (n,) why a press was not used; empty for those that were.
-    modelled : the place by the modelled sheet alone.
+    findings : sentences on readings, electrodes and sheet.
+    used : (n,) mask of the presses that were used. Left-out presses are numbered among those used.
+    why_not : (n,) reason why a press was not used; empty for those that were.
+    modelled : place by the modelled sheet alone.
     quantities : force and depth by their names, where the presses have them.
     """
 
@@ -112,48 +112,57 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     readings, presses = labelled.readings, labelled.presses
     labelled.check()
     tell("finding how the sheet lies")
-    dead = find_dead_readings(
+    dead_readings = find_dead_readings(
         readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
     )
-    clipped = estimate_clipped_share(readings.changes, readings.rest)
-    readings = replace(readings, changes=np.where(dead.dead, 0.0, readings.changes))
+    clipped_share = estimate_clipped_share(readings.changes, readings.rest)
+    readings = replace(readings, changes=np.where(dead_readings.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
     order = _check_electrode_order(replace(labelled, readings=readings), sheet)
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
-    used = np.any(readings.changes != 0, axis=1)
-    time_s = None if presses.time_s is None else presses.time_s[used]
-    place_mm, missing = presses.place_mm[used], dead.dead[used]
-    learned = _learn_place(labelled.sensor_type, order, readings.changes[used], place_mm, time_s, missing, tell)
+    used_mask = np.any(readings.changes != 0, axis=1)
+    time_s = None if presses.time_s is None else presses.time_s[used_mask]
+    place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
+    learned_place = _learn_place(
+        labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell
+    )
     if readings.noise is not None:
-        noise = np.where(learned.model.scaling.ceiling > 0, readings.noise, 0.0)  # of the used readings
-        least = max(learned.model.least_size, noise_size(noise))
-        learned = replace(learned, model=replace(learned.model, least_size=least))
+        noise = np.where(learned_place.model.scaling.ceiling > 0, readings.noise, 0.0)  # noise of the used readings
+        least = max(learned_place.model.least_size, noise_size(noise))
+        learned_place = replace(learned_place, model=replace(learned_place.model, least_size=least))
     quantities = {
-        name: _quantity(name, values[used], learned, tell)
+        name: _quantity(name, values[used_mask], learned_place, tell)
         for name, unit in PRESS_QUANTITIES.items()
         if (values := getattr(presses, f"{name}_{unit}")) is not None
     }
-    hardly = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
-    held_out = learned.held_out
-    about_presses = (*far_from_their_labels(presses, np.flatnonzero(used)[held_out.presses], held_out.found_mm),)
-    if registration.trusted:
-        about_presses += (*off_the_sheet(presses, registration),)
-    unused = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
-    about_readings = (
-        *list_ignored_columns(presses),
-        *unused,
-        *dead.findings,
-        *_range_findings(clipped),
-        *about_presses,
+    weak_findings = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
+    held_out = learned_place.held_out
+    press_findings = (
+        *far_from_their_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),
     )
-    about_sheet = *about_readings, *_findings(order, clipped, radius_stated=labelled.radius_stated)
-    findings = *about_sheet, *learned.warnings, *hardly, *([_BY_PLACE] if labelled.follow_places() else [])
-    modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned.model.mixture.quantiles)
-    left_out = zip(used.tolist(), dead.left_out, strict=True)
+    if registration.trusted:
+        press_findings += (*off_the_sheet(presses, registration),)
+    unused_electrodes = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
+    reading_findings = (
+        *list_ignored_columns(presses),
+        *unused_electrodes,
+        *dead_readings.findings,
+        *_range_findings(clipped_share),
+        *press_findings,
+    )
+    sheet_findings = *reading_findings, *_findings(order, clipped_share, radius_stated=labelled.radius_stated)
+    findings = (
+        *sheet_findings,
+        *learned_place.warnings,
+        *weak_findings,
+        *([_BY_PLACE] if labelled.follow_places() else []),
+    )
+    modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned_place.model.mixture.quantiles)
+    left_out = zip(used_mask.tolist(), dead_readings.left_out, strict=True)
     why_not = tuple("" if row else why or "no reading changes" for row, why in left_out)
-    return PressesLearned(registration, findings, used, why_not, learned, modelled, quantities)
+    return PressesLearned(registration, findings, used_mask, why_not, learned_place, modelled, quantities)
 
 
 def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
@@ -237,23 +246,23 @@ def _model_place(
     step_mm = STEP * registered.registration.radius_mm
     templates = registered.sign * lattice.readings(order.pairs) * answers
     model = ModelledPlace(lattice.node, step_mm, templates, 1.0, 1.0, noise)
-    found = ModelledEstimator(model, registered.registration)(readings.changes).place_mm
-    return with_variance(model, found - labelled.presses.place_mm, quantiles)
+    found_mm = ModelledEstimator(model, registered.registration)(readings.changes).place_mm
+    return with_variance(model, found_mm - labelled.presses.place_mm, quantiles)
 
 
 def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> LearnedQuantity:
     if not np.ptp(values):
         raise CalibrationError(f"every press that changes a reading has the same {name}: {values[0]:g}")
     tell(f"learning the {name}")
-    found = learned.found
+    found_presses = learned.found
     return learn_quantity(
-        values[found.presses],
-        found.strength,
-        found.place_mm,
+        values[found_presses.presses],
+        found_presses.strength,
+        found_presses.place_mm,
         learned.model.centre_mm,
-        visits=found.visits,
-        session=found.session,
-        drifts=found.drifts,
+        visits=found_presses.visits,
+        session=found_presses.session,
+        drifts=found_presses.drifts,
     )
 
 
@@ -282,10 +291,10 @@ def _check_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> E
         raise RecordingError(
             f"{presses.table.path}, columns x_mm and y_mm: {error.reason}", remedy=error.remedy
         ) from error
-    small = _warn_of_metres(presses.place_mm)
-    if not small:
+    unit_warning = _warn_of_metres(presses.place_mm)
+    if not unit_warning:
         return order
-    registration = replace(order.registered.registration, trusted=False, why=small)
+    registration = replace(order.registered.registration, trusted=False, why=unit_warning)
     return replace(order, registered=replace(order.registered, registration=registration))
 
 

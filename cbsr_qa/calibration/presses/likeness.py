@@ -43,9 +43,9 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
 
     Parameters
     ----------
-    sheet : as modelled.
-    pairs : (m, 4) of the readings.
-    changes : (n, m) of the presses, any unit.
+    sheet : modelled sheet.
+    pairs : (m, 4) source, sink, plus and minus of the readings.
+    changes : (n, m) changes of the readings by the presses, in any unit.
     """
     alive: Mask = np.any(changes != 0, axis=0)
     modelled = np.median(np.abs(sheet.lattice.readings(pairs)), axis=0)
@@ -60,19 +60,20 @@ def compare_sides(answer: Array, positive: Mask) -> AnsweringSide:
     Parameters
     ----------
     answer : (m,) size of each reading over the modelled one, any unit.
-    positive : (m,) whether its modelled voltage is.
+    positive : (m,) mask of readings whose modelled voltage is positive.
     """
     if positive.all() or not positive.any():
         return AnsweringSide(np.ones_like(positive))
     sizes = [float(np.median(answer[side])) for side in (positive, ~positive)]
     if max(sizes) <= _DEAD * min(sizes):
         return AnsweringSide(np.ones_like(positive))
-    dead, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
-    words = (
-        f"{int(dead.sum())} readings whose modelled voltage is {name} hardly respond: {min(sizes) / max(sizes):.1%}"
-        " of what the others do, both compared with the modelled sheet; the front end appears to rectify"
+    dead_mask, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
+    finding = (
+        f"{int(dead_mask.sum())} readings whose modelled voltage is {name} hardly respond:"
+        f" {min(sizes) / max(sizes):.1%} of what the others do, both compared with the modelled sheet;"
+        " the front end appears to rectify"
     )
-    return AnsweringSide(~dead, words)
+    return AnsweringSide(~dead_mask, finding)
 
 
 def alikeness(changes: Array, templates: Array) -> Array:
@@ -86,9 +87,9 @@ class Likeness:
 
     Parameters
     ----------
-    sheet : as modelled.
-    pairs : (m, 4) of the readings.
-    changes : (n, m) of presses, with the sign of a rise of conductance.
+    sheet : modelled sheet.
+    pairs : (m, 4) source, sink, plus and minus of the readings.
+    changes : (n, m) changes of the readings by presses, with the sign of a rise of conductance.
     """
 
     def __init__(self, sheet: ModelledSheet, pairs: Indices, changes: Array) -> None:
@@ -106,14 +107,14 @@ class Likeness:
         self._rough = np.where(self._on_sheet > 0, log_likelihood(self._maps), _OFF_SHEET)
 
     def select(self, presses: Indices) -> "Likeness":
-        """The same for some of the presses."""
-        some = copy(self)
-        some._maps, some._alike = self._maps[presses], self._alike[presses]
-        some._rough = self._rough[presses]
-        return some
+        """Likeness of some of the presses."""
+        selected = copy(self)
+        selected._maps, selected._alike = self._maps[presses], self._alike[presses]
+        selected._rough = self._rough[presses]
+        return selected
 
     def roughly(self, places: Array) -> Array:
-        """As :meth:`at`, linear between nodes and a fifth of the time: to choose where to begin."""
+        """Log likelihood of each press, linear between nodes: a fifth of the work, to choose where to begin."""
         (x, y), first = self._locate_in_grid(places)
         flat, width = self._rough.ravel(), self._width
         near = (1 - y) * flat.take(first) + y * flat.take(first + 1)
@@ -128,51 +129,51 @@ class Likeness:
         between nodes: interpolated linearly, likelihoods would be largest at nodes, and presses on a grid would be
         found on one of the lattice, however far apart they are. Beyond the sheet likelihoods fade over one node.
         """
-        between, node = self._locate_in_grid(places)
-        alike, x, y, xx, xy, yy = self._interpolate(self._maps, between, node - self._width - 1, _CUBIC)
-        on, on_x, on_y, on_xx, on_xy, on_yy = self._interpolate(
-            self._on_sheet, between, node % self._width**2, _SMOOTH
+        cell_offset, node = self._locate_in_grid(places)
+        correlation, x, y, xx, xy, yy = self._interpolate(self._maps, cell_offset, node - self._width - 1, _CUBIC)
+        sheet, sheet_x, sheet_y, sheet_xx, sheet_xy, sheet_yy = self._interpolate(
+            self._on_sheet, cell_offset, node % self._width**2, _SMOOTH
         )
-        more = log_likelihood(alike) - _OFF_SHEET
-        steep, steeper = log_likelihood_slopes(alike)
+        log_ratio = log_likelihood(correlation) - _OFF_SHEET
+        slope, curvature = log_likelihood_slopes(correlation)
         return np.stack(
             [
-                on * more + _OFF_SHEET,
-                on_x * more + on * steep * x,
-                on_y * more + on * steep * y,
-                on_xx * more + steep * (2 * on_x * x + on * xx) + on * steeper * x**2,
-                on_xy * more + steep * (on_x * y + on_y * x + on * xy) + on * steeper * x * y,
-                on_yy * more + steep * (2 * on_y * y + on * yy) + on * steeper * y**2,
+                sheet * log_ratio + _OFF_SHEET,
+                sheet_x * log_ratio + sheet * slope * x,
+                sheet_y * log_ratio + sheet * slope * y,
+                sheet_xx * log_ratio + slope * (2 * sheet_x * x + sheet * xx) + sheet * curvature * x**2,
+                sheet_xy * log_ratio + slope * (sheet_x * y + sheet_y * x + sheet * xy) + sheet * curvature * x * y,
+                sheet_yy * log_ratio + slope * (2 * sheet_y * y + sheet * yy) + sheet * curvature * y**2,
             ]
         )
 
     def _interpolate(self, maps: Array, between: Array, first: Indices, polynomials: Array) -> Array:
-        """Value (…) between nodes and its derivatives (6, …) per radius, in the order of :meth:`at`.
+        """Value (…) between nodes and its derivatives (6, …) per radius, in the order of :meth:`evaluate`.
 
         Parameters
         ----------
-        between : (2, …) how far the point is beyond a node, in steps.
+        between : (2, …) offset of the point from a node, in steps.
         first : (…) the number of the first node of a square that counts.
         polynomials : (p, k) coefficients of the powers of that distance, for the weight of each of the k nodes.
         """
         flat, nodes = maps.ravel(), polynomials.shape[1]
         along, across = (_weights(t, polynomials) for t in between)
-        found = np.zeros((len(_ORDERS), *first.shape))
+        derivatives = np.zeros((len(_ORDERS), *first.shape))
         for m in range(nodes):
             row = [flat.take(first + (m * self._width + n)) for n in range(nodes)]
             lines = [sum(w * values for w, values in zip(weights, row, strict=True)) for weights in across]
             for k, (i, j) in enumerate(_ORDERS):
-                found[k] += along[i][m] * lines[j]
+                derivatives[k] += along[i][m] * lines[j]
         for k, (i, j) in enumerate(_ORDERS):
-            found[k] /= STEP ** (i + j)
-        return found
+            derivatives[k] /= STEP ** (i + j)
+        return derivatives
 
     def _locate_in_grid(self, places: Array) -> tuple[Array, Indices]:
-        """How far places (…, n, 2) are beyond a node (2, …, n), and the number of that node in all maps (…, n)."""
-        at = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
-        node = at.astype(np.int64)
+        """Offsets (2, …, n) of places (…, n, 2) from a node, and the number of that node in all maps (…, n)."""
+        position = np.clip(places / STEP + self._centre, 1.0, self._width - 2.001)
+        node = position.astype(np.int64)
         press = np.arange(len(self._maps))
-        return np.moveaxis(at - node, -1, 0), (press * self._width + node[..., 0]) * self._width + node[..., 1]
+        return np.moveaxis(position - node, -1, 0), (press * self._width + node[..., 0]) * self._width + node[..., 1]
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""

@@ -23,11 +23,11 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
-#: More than a table of a hundred thousand presses.
+#: Largest size of a file: more than that of a table of a hundred thousand presses.
 _LARGEST_BYTES: Final = 2**29
-#: As many as a sensor of 256 electrodes has readings in a frame.
+#: Largest number of columns: the readings in a frame of a sensor of 256 electrodes.
 _MOST_COLUMNS: Final = 2**16
-#: Of a line: so many columns, and their commas.
+#: Largest length of a line: so many columns, and their commas.
 _LONGEST_LINE: Final = 32 * _MOST_COLUMNS
 #: Largest number of any column.
 _LARGEST: Final = 1e12
@@ -38,7 +38,7 @@ _MOST_LISTED: Final = 10
 _LONGEST_CELL: Final = 40
 #: Rows of a Parquet file that are decoded at once.
 _AT_ONCE: Final = 1024
-#: Reads Parquet.
+#: Module that reads Parquet.
 _PARQUET: Final = "pyarrow.parquet"
 #: Row and column of a cell, both from 0.
 _Cell = tuple[int, int]
@@ -52,10 +52,10 @@ class NumberTable:
 
     Parameters
     ----------
-    path : of the file.
-    columns : their names.
-    values : (rows, columns); NaN where a cell is not a finite number.
-    odd_cells : what those cells hold, as a message shows it: the first ten of each column.
+    path : path of the file.
+    columns : names of the columns.
+    values : (rows, columns) numbers; NaN where a cell is not a finite number.
+    odd_cells : content of those cells, as a message shows it: the first ten of each column.
     """
 
     path: Path
@@ -65,10 +65,10 @@ class NumberTable:
 
     def numbers(self, names: Sequence[str] | None = None) -> Array:
         """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
-        chosen = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
-        values: Array = self.values if names is None else self.values[:, chosen]
+        chosen_columns = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
+        values: Array = self.values if names is None else self.values[:, chosen_columns]
         unusable = np.argwhere(~(np.abs(values) <= _LARGEST))
-        described = [self._describe_cell(row, chosen[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
+        described = [self._describe_cell(row, chosen_columns[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
         self.refuse(described, more=len(unusable) - len(described))
         return values
 
@@ -85,8 +85,8 @@ class NumberTable:
 def _refuse(path: Path, problems: Sequence[str], remedy: str, more: int = 0) -> None:
     if problems:
         more += max(len(problems) - _MOST_LISTED, 0)
-        others = f"; and {more} more" if more else ""
-        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{others}", remedy=remedy)
+        other_problems = f"; and {more} more" if more else ""
+        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{other_problems}", remedy=remedy)
 
 
 def read_table(path: Path) -> NumberTable:
@@ -195,11 +195,11 @@ def _parquet(path: Path, file: BinaryIO, parquet: Any) -> _Content:
     size_bytes = os.fstat(file.fileno()).st_size
     try:
         table = parquet.ParquetFile(file, pre_buffer=False)
-        stated, columns = table.metadata, table.schema_arrow.names
-        _check_columns(path, columns, stated.num_rows)
-        if stated.num_rows * len(columns) * 8 > largest_content(size_bytes):
+        metadata, columns = table.metadata, table.schema_arrow.names
+        _check_columns(path, columns, metadata.num_rows)
+        if metadata.num_rows * len(columns) * 8 > largest_content(size_bytes):
             raise RecordingError(
-                f"{path} of {stated.num_rows} rows and {len(columns)} columns is too large for a file of"
+                f"{path} of {metadata.num_rows} rows and {len(columns)} columns is too large for a file of"
                 f" {size_bytes} bytes: numbers that were measured are packed less",
                 remedy=_TOO_MUCH,
             )
@@ -241,8 +241,8 @@ class _Numbers:
         for column in (k for k, value in enumerate(values) if math.isnan(value) and self._shown[k] < _MOST_LISTED):
             self._shown[column] += 1
             cell = cells[column]
-            odd = "empty" if cell in ("", None) else f"{str(cell)[:_LONGEST_CELL]!r}, not a finite number"
-            self._odd_cells[self._rows, column] = odd
+            description = "empty" if cell in ("", None) else f"{str(cell)[:_LONGEST_CELL]!r}, not a finite number"
+            self._odd_cells[self._rows, column] = description
         self._rows += 1
 
     def content(self, columns: Sequence[str]) -> _Content:

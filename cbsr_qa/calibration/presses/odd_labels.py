@@ -35,27 +35,29 @@ def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -
 
     Parameters
     ----------
-    rows : (k,) of the presses left out.
-    found_mm : (k, 2) where they were found.
+    rows : (k,) rows of the presses left out.
+    found_mm : (k, 2) places where they were found.
     """
     error_mm = np.linalg.norm(found_mm - presses.place_mm[rows], axis=1)
     usual_mm = float(np.median(error_mm))
-    odd = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
-    odd = odd[np.argsort(-error_mm[odd], kind="stable")]
-    if odd.size:
-        named = _name_rows(rows[odd], [f" by {error:.3g} mm" for error in error_mm[odd[:_MOST_NAMED]]])
-        others = "the other presses place it" if len(odd) == 1 else "the others place them"
+    odd_presses = np.flatnonzero(error_mm > max(_MANY_TIMES * usual_mm, _OF_LARGEST * error_mm.max()))
+    odd_presses = odd_presses[np.argsort(-error_mm[odd_presses], kind="stable")]
+    if odd_presses.size:
+        row_list = _name_rows(
+            rows[odd_presses], [f" by {error:.3g} mm" for error in error_mm[odd_presses[:_MOST_NAMED]]]
+        )
+        placing = "the other presses place it" if len(odd_presses) == 1 else "the others place them"
         yield (
-            f"{_count(odd)} far from where {others}, {named}; the median is {usual_mm:.2g} mm:"
+            f"{_count(odd_presses)} far from where {placing}, {row_list}; the median is {usual_mm:.2g} mm:"
             " check the labels and the readings"
         )
 
 
 def list_ignored_columns(presses: PressTable) -> Iterator[str]:
     """Name columns of the table that are no labels."""
-    others = [name for name in presses.table.columns if name not in LABELS]
-    if others:
-        yield f"{presses.table.path.name}: ignored columns: {', '.join(map(repr, others[:_MOST_NAMED]))}"
+    ignored = [name for name in presses.table.columns if name not in LABELS]
+    if ignored:
+        yield f"{presses.table.path.name}: ignored columns: {', '.join(map(repr, ignored[:_MOST_NAMED]))}"
 
 
 def list_unused_electrodes(pairs: Indices, electrodes: int) -> Iterator[str]:
@@ -75,5 +77,5 @@ def _count(rows: Indices) -> str:
 
 
 def _name_rows(rows: Indices, words: list[str]) -> str:
-    more = ", …" if len(rows) > len(words) else ""
-    return ", ".join(f"row {row + 1}{each}" for row, each in zip(rows, words, strict=False)) + more
+    ellipsis = ", …" if len(rows) > len(words) else ""
+    return ", ".join(f"row {row + 1}{remark}" for row, remark in zip(rows, words, strict=False)) + ellipsis

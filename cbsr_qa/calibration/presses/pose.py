@@ -95,21 +95,21 @@ class PoseSearch:
         starts = np.tile(pose.numbers, (_BOOTSTRAPS, 1))
         drawn = self._refine(likeness, starts, mirrored=pose.mirrored, times=times, radius_off=radius_off)[0]
         low, high = np.quantile(drawn - pose.numbers, [0.16, 0.84], axis=0)
-        half: Array = (high - low) / 2
-        half[3] = np.hypot(half[3], _HEAD_ERROR)
-        return half
+        half_width: Array = (high - low) / 2
+        half_width[3] = np.hypot(half_width[3], _HEAD_ERROR)
+        return half_width
 
     def _candidates(self, likeness: Likeness, *, mirrored: bool) -> Array:
         """Numbers (k, 4) of the poses on the lattice to begin from."""
-        some = evenly(len(self.labelled), _SEARCHED)
-        fewer, labelled = likeness.select(some), self.labelled[some]
+        searched_presses = evenly(len(self.labelled), _SEARCHED)
+        searched_likeness, labelled = likeness.select(searched_presses), self.labelled[searched_presses]
         sizes, shifts = np.log(_SIZES * self._reach), _SHIFTS * self._reach + self._middle
         values = np.empty((len(sizes), len(shifts), len(ROTATIONS)))
         for i, length in enumerate(sizes):
             for j, centre in enumerate(shifts):
                 turned = (labelled - centre) * np.exp(-length - 1j * ROTATIONS)[:, None]
                 places = np.stack([turned.real, -turned.imag if mirrored else turned.imag], axis=-1)
-                values[i, j] = fewer.roughly(places).sum(axis=1) + self._prior(length)[0]
+                values[i, j] = searched_likeness.roughly(places).sum(axis=1) + self._prior(length)[0]
         best = np.argsort(values, axis=None)[::-1][::_CANDIDATES][:_CANDIDATES]
         size, shift, rotation = np.unravel_index(best, values.shape)
         starts: Array = np.column_stack([shifts[shift].real, shifts[shift].imag, ROTATIONS[rotation], sizes[size]])
@@ -132,21 +132,21 @@ class PoseSearch:
         radius_off : (k,) errors of the logarithm of the stated radius.
         """
         weights = np.ones((len(starts), len(self.labelled))) if times is None else times
-        off = np.zeros(len(starts)) if radius_off is None else radius_off
+        radius_offset = np.zeros(len(starts)) if radius_off is None else radius_off
 
         def jet(steps: Array, which: Indices) -> tuple[Array, Array, Array]:
             which = which // len(_STARTS)
             numbers, weight = starts[which] + steps * self._steps, weights[which]
-            places, moved = self._place_presses(numbers, mirrored=mirrored)
-            likely, x, y, xx, xy, yy = weight * likeness.evaluate(places)
-            value, slope, bend = self._prior(numbers[:, 3] - off[which])
-            along, across = (self._steps * part for part in moved)
+            places, place_slopes = self._place_presses(numbers, mirrored=mirrored)
+            likelihood, x, y, xx, xy, yy = weight * likeness.evaluate(places)
+            value, slope, bend = self._prior(numbers[:, 3] - radius_offset[which])
+            along, across = (self._steps * part for part in place_slopes)
             slopes = (x[:, None] @ along + y[:, None] @ across)[:, 0]
             bends = along.swapaxes(1, 2) @ (xx[..., None] * along + xy[..., None] * across)
             bends += across.swapaxes(1, 2) @ (xy[..., None] * along + yy[..., None] * across)
             slopes[:, 3] += self._steps[3] * slope
             bends[:, 3, 3] += self._steps[3] ** 2 * bend
-            return likely.sum(axis=1) + value, slopes, bends
+            return likelihood.sum(axis=1) + value, slopes, bends
 
         steps, values = ascend(jet, np.tile(_STARTS, (len(starts), 1)))
         best = values.reshape(-1, len(_STARTS)).argmax(axis=1) + len(_STARTS) * np.arange(len(starts))
@@ -161,10 +161,10 @@ class PoseSearch:
         factor = np.exp(-1j * angle - size)
         z = (self.labelled - x - 1j * y) * factor
         factor = np.broadcast_to(factor, z.shape)
-        moved = np.stack([-factor, -1j * factor, -1j * z, -z], axis=-1)
+        derivatives = np.stack([-factor, -1j * factor, -1j * z, -z], axis=-1)
         if mirrored:
-            z, moved = z.conj(), moved.conj()
-        return np.stack([z.real, z.imag], axis=-1), (moved.real, moved.imag)
+            z, derivatives = z.conj(), derivatives.conj()
+        return np.stack([z.real, z.imag], axis=-1), (derivatives.real, derivatives.imag)
 
     def _prior(self, size: Array) -> tuple[Array, Array, Array]:
         """Log likelihood (k,) of the logarithm of a size, its slope and its bend.
@@ -174,10 +174,10 @@ class PoseSearch:
         if self._stated_mm is None:
             none = np.zeros_like(size)
             return none, none, none
-        away = (size - np.log(self._stated_mm)) / _RADIUS_ERROR
-        spread = 1 + away**2 / 4
-        slope = -away / spread / _RADIUS_ERROR
-        return -2 * np.log(spread), slope, (away**2 / 4 - 1) / spread**2 / _RADIUS_ERROR**2
+        deviation = (size - np.log(self._stated_mm)) / _RADIUS_ERROR
+        spread = 1 + deviation**2 / 4
+        slope = -deviation / spread / _RADIUS_ERROR
+        return -2 * np.log(spread), slope, (deviation**2 / 4 - 1) / spread**2 / _RADIUS_ERROR**2
 
 
 def to_complex(places: Array) -> Complex:

@@ -17,11 +17,11 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.press_calibration import SheetRegistration
 
-#: Most presses for the search, and for the share of the signal; evenly spread over all.
+#: Largest numbers of presses for the search, and for the share of the signal; evenly spread over all.
 _REFINED: Final = 300
-#: Fewer different places do not determine a similarity and its errors.
+#: Fewest different places that determine a similarity and its errors.
 FEWEST_PLACES: Final = 4
-#: Smaller second over first singular value of the places: they lie on a line.
+#: Ratio of the second to the first singular value of places below which they lie on a line.
 _LINE: Final = 0.02
 #: Shares of the spread of places and of the readings' changes that a trusted modelled sheet must explain, and log
 #: likelihood by which its mirror image must be less likely.
@@ -38,9 +38,9 @@ class Registered:
     ----------
     registration : the similarity.
     sign : factor of changes for the sign of a rise of conductance.
-    places : (n, 2) of all presses on the sheet, in radii.
+    places : (n, 2) places of all presses on the sheet, in radii.
     likelihood : log likelihood of the presses used in the refinement.
-    findings : on the readings, in words.
+    findings : sentences on the readings.
     """
 
     registration: SheetRegistration
@@ -57,9 +57,9 @@ def register_presses(
 
     Parameters
     ----------
-    sheet : as modelled; without a stated radius its own does not matter.
+    sheet : modelled sheet; without a stated radius its own radius does not matter.
     pairs : (m, 4) source, sink, plus and minus of the readings.
-    changes : (n, m) by each press, any unit.
+    changes : (n, m) changes of the readings by each press, in any unit.
     place_mm : (n, 2) labels of the presses.
     radius_stated : True if the sheet's radius is known and the scale estimated; False to estimate the radius at a
         scale of 1.
@@ -73,20 +73,20 @@ def register_presses(
     side = answering_side(sheet, pairs, changes)
     pairs, changes = pairs[side.answers], changes[:, side.answers]
     stated_mm = sheet.radius_mm if radius_stated else None
-    chosen = evenly(len(changes), _REFINED)
-    search = PoseSearch(place_mm[chosen], stated_mm)
-    likeness = {sign: Likeness(sheet, pairs, sign * changes[chosen]) for sign in (1, -1)}
+    chosen_presses = evenly(len(changes), _REFINED)
+    search = PoseSearch(place_mm[chosen_presses], stated_mm)
+    likeness = {sign: Likeness(sheet, pairs, sign * changes[chosen_presses]) for sign in (1, -1)}
     cases = [(sign, mirrored) for sign in likeness for mirrored in (False, True)]
     best = {case: search.best(likeness[case[0]], mirrored=case[1]) for case in cases}
     sign, mirrored = max(best, key=lambda case: best[case][1])
     pose, value = best[sign, mirrored]
-    seen = pose.to_labels(likeness[sign].best_places())
+    label_places = pose.to_labels(likeness[sign].best_places())
     places = pose.places(to_complex(place_mm))
     registration = _registration(
         pose,
         search.errors(likeness[sign], pose),
         stated_mm,
-        place_share=_place_share(seen, search.labelled),
+        place_share=_place_share(label_places, search.labelled),
         signal_share=_signal_share(sheet, pairs, sign * changes, places),
         evidence=value - max(best[other, not mirrored][1] for other in likeness),
     )
@@ -102,12 +102,12 @@ def maximise_over_turns(
     """
     side = answering_side(sheet, pairs, changes)
     size = np.log(near.radius_mm * near.scale)
-    turned = (to_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
+    turned_places = (to_complex(place_mm) - complex(*near.shift_mm)) * np.exp(-size - 1j * ROTATIONS)[:, None]
     values = []
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])
-        for each in (turned, turned.conj()):
-            values.append(float(likeness.roughly(np.stack([each.real, each.imag], axis=-1)).sum(axis=1).max()))
+        for places in (turned_places, turned_places.conj()):
+            values.append(float(likeness.roughly(np.stack([places.real, places.imag], axis=-1)).sum(axis=1).max()))
     return max(values)
 
 
@@ -177,15 +177,15 @@ def _doubts(place_share: float, signal_share: float, evidence: float) -> str:
 
 def _place_share(seen: Complex, labelled: Complex) -> float:
     """Share of the spread of places explained by an estimate, by medians of squared distances."""
-    apart = np.abs(labelled - np.median(labelled.real) - 1j * np.median(labelled.imag))
-    return 1 - float(np.median(np.abs(seen - labelled) ** 2) / np.median(apart**2))
+    spread = np.abs(labelled - np.median(labelled.real) - 1j * np.median(labelled.imag))
+    return 1 - float(np.median(np.abs(seen - labelled) ** 2) / np.median(spread**2))
 
 
 def _signal_share(sheet: ModelledSheet, pairs: Indices, changes: Array, places: Array) -> float:
     """Share of the changes' energy explained by a load at its place, median over the presses on the sheet."""
-    inside = sheet.clear(places)
-    if not inside.any():
+    inside_mask = sheet.clear(places)
+    if not inside_mask.any():
         return 0.0
-    chosen = np.flatnonzero(inside)[evenly(int(inside.sum()), _REFINED)]
-    alike = alikeness(changes[chosen], sheet.loads(places[chosen]).readings(pairs))
-    return float(np.median(np.maximum(alike, 0.0) ** 2))
+    chosen_presses = np.flatnonzero(inside_mask)[evenly(int(inside_mask.sum()), _REFINED)]
+    correlation = alikeness(changes[chosen_presses], sheet.loads(places[chosen_presses]).readings(pairs))
+    return float(np.median(np.maximum(correlation, 0.0) ** 2))

@@ -35,9 +35,9 @@ class PressTable:
 
     Parameters
     ----------
-    table : as read.
-    place_mm : (n, 2).
-    depth_mm, force_N, time_s : (n,), None without such a column.
+    table : table as it was read.
+    place_mm : (n, 2) places of the presses.
+    depth_mm, force_N, time_s : (n,) numbers of the columns; None without such a column.
     """
 
     table: NumberTable
@@ -67,9 +67,9 @@ def read_presses(path: Path) -> PressTable:
     table.refuse(
         list(_header_problems(table.columns)), remedy="name columns with their units: x_mm, y_mm, force_N, …"
     )
-    others = [name for name in _OPTIONAL if name in table.columns]
-    values = table.numbers([*_PLACE, *others])
-    by_name = dict(zip(others, values[:, 2:].T, strict=True))
+    optional_names = [name for name in _OPTIONAL if name in table.columns]
+    values = table.numbers([*_PLACE, *optional_names])
+    by_name = dict(zip(optional_names, values[:, 2:].T, strict=True))
     for name in _OPTIONAL:
         column = by_name.get(name)
         if column is not None and len(column) > 1 and np.ptp(column) == 0:
@@ -98,7 +98,7 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
 
     Parameters
     ----------
-    electrodes : of the sensor; None if unknown.
+    electrodes : number of electrodes of the sensor; None if unknown.
 
     Raises
     ------
@@ -107,10 +107,10 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
         itself, or a few pairs measure at an electrode that they drive and all others do not.
     """
     table = read_table(path)
-    missing = [name for name in _PAIR_COLUMNS if name not in table.columns]
-    if missing:
+    missing_columns = [name for name in _PAIR_COLUMNS if name not in table.columns]
+    if missing_columns:
         table.refuse(
-            [f"the header is {', '.join(table.columns[:8])}; missing: {', '.join(missing)}"],
+            [f"the header is {', '.join(table.columns[:8])}; missing: {', '.join(missing_columns)}"],
             remedy=f"the columns of a pattern are {','.join(_PAIR_COLUMNS)}, electrodes from 0",
         )
     values = table.numbers(_PAIR_COLUMNS)
@@ -129,22 +129,24 @@ def source_file(role: str, path: Path) -> SourceFile:
 
 
 def _header_problems(columns: Sequence[str]) -> Iterator[str]:
-    named = []
+    known_names = []
     for name in columns:
         quantity, *units = re.findall(r"[^\W_]+", name.lower()) or [""]
-        wanted = _QUANTITIES.get(quantity) if len(units) <= 1 else None
-        named.append(wanted)
-        if wanted is None or name == wanted:
+        allowed_name = _QUANTITIES.get(quantity) if len(units) <= 1 else None
+        known_names.append(allowed_name)
+        if allowed_name is None or name == allowed_name:
             continue
         if not units:
-            what = "has no unit"
-        elif f"{quantity}_{units[0]}" == wanted.lower():
-            what = "is spelled differently"
+            problem = "has no unit"
+        elif f"{quantity}_{units[0]}" == allowed_name.lower():
+            problem = "is spelled differently"
         else:
-            what = "is in a unit that is not known"
-        yield f"column {name!r} {what}: {wanted} is allowed"
+            problem = "is in a unit that is not known"
+        yield f"column {name!r} {problem}: {allowed_name} is allowed"
     yield from (
-        f"column {name} is missing; the header is {', '.join(columns[:8])}" for name in _PLACE if name not in named
+        f"column {name} is missing; the header is {', '.join(columns[:8])}"
+        for name in _PLACE
+        if name not in known_names
     )
 
 
@@ -162,9 +164,9 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
-    drives, odd_drives = (len(np.unique(some[:, :2], axis=0)) for some in (values, values[at_driven]))
-    few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
-    if few and odd_drives <= max(_FEW_AT_DRIVEN * drives, 1) and odd_drives < drives:
+    drives, odd_drives = (len(np.unique(rows[:, :2], axis=0)) for rows in (values, values[at_driven]))
+    is_few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
+    if is_few and odd_drives <= max(_FEW_AT_DRIVEN * drives, 1) and odd_drives < drives:
         for row in at_driven.tolist():
             yield (
                 f"row {row + 1}: {','.join(f'{number:g}' for number in values[row])} measures at an electrode that it"

@@ -29,8 +29,9 @@ class WeakLoads:
 
     Parameters
     ----------
-    places : (k, 2) of the loads, in radii of the sheet.
-    changes : (k, e, e) of the potential of one electrode by the current into another; electrode e − 1 is the earth.
+    places : (k, 2) places of the loads, in radii of the sheet.
+    changes : (k, e, e) changes of the potential of one electrode by the current into another; electrode e − 1 is the
+        earth.
     """
 
     places: Array
@@ -51,7 +52,7 @@ class ModelledSheet:
 
     Parameters
     ----------
-    sensor_type : its pattern does not matter.
+    sensor_type : sensor type; its pattern does not matter.
     """
 
     def __init__(self, sensor_type: SensorType) -> None:
@@ -69,25 +70,25 @@ class ModelledSheet:
     def loads(self, places: Array) -> WeakLoads:
         """Weak loads at places (k, 2) in radii, each clear of edge and electrodes."""
         places_mm = places * self.radius_mm
-        clear = self._model.surroundings.clearance_mm(places_mm)
-        size = np.minimum(_LOAD * self.radius_mm, _SMALL * np.maximum(clear, _CLEAR * self.radius_mm))
-        order = np.argsort(-clear, kind="stable")  # places of similar clearance need similar numbers of terms
+        clearance_mm = self._model.surroundings.clearance_mm(places_mm)
+        size = np.minimum(_LOAD * self.radius_mm, _SMALL * np.maximum(clearance_mm, _CLEAR * self.radius_mm))
+        order = np.argsort(-clearance_mm, kind="stable")  # places of similar clearance need similar numbers of terms
         changes = np.empty((len(places), *self._model.pattern.shape))
         for first in range(0, len(order), _AT_ONCE):
-            part = order[first : first + _AT_ONCE]
-            changes[part] = self._model.weak(places_mm[part], size[part])
+            batch = order[first : first + _AT_ONCE]
+            changes[batch] = self._model.weak(places_mm[batch], size[batch])
         return WeakLoads(places, _with_earth(changes))
 
     @cached_property
     def lattice(self) -> WeakLoads:
         """Weak loads all over the sheet, on a square lattice about its centre."""
-        most = int(np.floor(max(map(abs, self._model.surroundings.extent_mm)) / (STEP * self.radius_mm)))
-        axis = STEP * np.arange(-most, most + 1)
+        half_count = int(np.floor(max(map(abs, self._model.surroundings.extent_mm)) / (STEP * self.radius_mm)))
+        axis = STEP * np.arange(-half_count, half_count + 1)
         places = np.stack(np.meshgrid(axis, axis), axis=-1).reshape(-1, 2)
         return self.loads(places[self.clear(places)])
 
     def clear(self, places: Array) -> np.ndarray[tuple[int], np.dtype[np.bool_]]:
-        """Which places (k, 2) in radii are clear of edge and electrodes."""
+        """Mask (k,) of places (k, 2) in radii that are clear of edge and electrodes."""
         room = self._model.surroundings.clearance_mm(places * self.radius_mm)
         return room > _CLEAR * self.radius_mm
 

@@ -31,7 +31,7 @@ from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Of dᵀΣ⁻¹d that holds 68 % and 95 % of a normal distribution over two axes.
+#: Values of dᵀΣ⁻¹d that hold 68 % and 95 % of a normal distribution over two axes.
 _Q68, _Q95 = (float(-2 * np.log(1 - share)) for share in (0.6827, 0.95))
 _AXES: Final = "mm from the sheet's centre, as the sensor type places its electrodes"
 _BY_RUN: Final = "was issued by a run"
@@ -56,8 +56,8 @@ class Calibration(HeadForces):
     def __repr__(self) -> str:
         validity, head = self.issued.validity, self.issued.indenter.words()
         force = "" if validity.force_N is None else ", {:.3g} to {:.3g} N".format(*validity.force_N)
-        where = f"within {validity.radius_mm:.3g} mm of the centre"
-        return f"<Calibration of sensor {self.issued.sensor.serial}{force} {where}, head: {head}>"
+        area = f"within {validity.radius_mm:.3g} mm of the centre"
+        return f"<Calibration of sensor {self.issued.sensor.serial}{force} {area}, head: {head}>"
 
     @classmethod
     def load(cls, path: str | Path, *, public_key: str | Path | None = None) -> Self:
@@ -82,7 +82,7 @@ class Calibration(HeadForces):
 
     @property
     def identity(self) -> CalibrationIdentity:
-        """Which calibration it is."""
+        """Identity of the calibration."""
         issued = self.issued
         return CalibrationIdentity(
             issued.sensor.serial,
@@ -114,7 +114,7 @@ class Calibration(HeadForces):
         return _make_touches(self.force(frames), None)
 
     def prepare(self) -> None:
-        """Work out what is worked out once."""
+        """Compute what is computed only once."""
         self.force(self.issued.reference)
 
     def check_recording(self, recording: Recording) -> None:
@@ -159,9 +159,11 @@ class _Sequence:
         if self.settling is None:
             return _make_touches(self.calibration.force(voltages, place_mm=self.place_mm), None)
         in_turn = zip(frames.time_s.tolist(), voltages, strict=True)
-        found = [self.settling.add_frame(time_s, frame, place_mm=self.place_mm) for time_s, frame in in_turn]
-        forces = join_forces([(np.array([number]), each) for number, (each, _) in enumerate(found)])
-        return _make_touches(forces, np.concatenate([settled_in_s for _, settled_in_s in found]))
+        estimates = [self.settling.add_frame(time_s, frame, place_mm=self.place_mm) for time_s, frame in in_turn]
+        forces = join_forces(
+            [(np.array([number]), frame_forces) for number, (frame_forces, _) in enumerate(estimates)]
+        )
+        return _make_touches(forces, np.concatenate([settled_in_s for _, settled_in_s in estimates]))
 
 
 def _make_touches(forces: Forces, settled_in_s: Array | None) -> Touches:

@@ -1,7 +1,7 @@
-"""What a calibration in use does: frames in; force, place, their errors and flags out. Numpy alone.
+"""A calibration in use: frames in; force, place, their errors and flags out. Numpy alone.
 
-An :class:`Estimator` is made by :mod:`cbsr_qa.calibration.loading`. Whoever applies calibrations knows nothing else
-of them, so another way to learn one is another class behind this Protocol.
+An :class:`Estimator` is made by :mod:`cbsr_qa.calibration.loading`. Code that applies calibrations knows this
+Protocol alone, so another way to learn a calibration is another class that implements it.
 """
 
 from collections.abc import Mapping
@@ -29,7 +29,7 @@ _UNLIKE: Final = int(
 
 
 class Ability(StrEnum):
-    """What a calibration may be unable to do or tell; then :attr:`Estimator.lacks` says why."""
+    """Something that a calibration may be unable to do; then :attr:`Estimator.lacks` says why."""
 
     FORCE = "force"  #: the force of a touch
     FORCE_68, FORCE_95 = "force_68", "force_95"  #: the interval that holds the force with that probability
@@ -47,15 +47,15 @@ class Ability(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class CalibrationIdentity:
-    """Which calibration it is, of which sensor.
+    """Identity of a calibration and of its sensor.
 
     Parameters
     ----------
-    serial : of the sensor; empty where :attr:`Ability.SERIAL` is lacking.
+    serial : serial number of the sensor; empty where :attr:`Ability.SERIAL` is lacking.
     calibration, calibration_digest : identity and SHA-256 of the calibration file.
-    kind : what it was learned from: ``run``, ``presses``, or a word of another implementation.
-    sensor_type, electrodes : name of its type, and how many electrodes it has.
-    axes : what x and y are.
+    kind : source that it was learned from: ``run``, ``presses``, or a word of another implementation.
+    sensor_type, electrodes : name of the sensor's type, and its number of electrodes.
+    axes : meaning of x and y.
     """
 
     serial: str
@@ -80,13 +80,13 @@ class Regions:
 
 @dataclass(frozen=True, slots=True)
 class UnloadedFrames:
-    """What frames are compared with; at most one is given. By default it is the calibration's own unloaded frame.
+    """Unloaded frames to compare with; at most one kind is given. The default is the calibration's own frame.
 
     Parameters
     ----------
     first : number of first frames that are of the unloaded sheet.
     rest : frames of the unloaded sheet from elsewhere.
-    differences : whether the readings are changes already, in which faults cannot be found.
+    differences : True if the readings are changes already, in which faults cannot be found.
     """
 
     first: int | None = None
@@ -107,7 +107,7 @@ class TouchValues:
     values : (n,) force [N] or depth [mm]; NaN in frames that do not tell it.
     within_68, within_95 : (n, 2) lowest and highest of the interval that holds it with that probability, NaN where
         there is none; None where that ability is lacking.
-    stderr : (n,) its standard error.
+    stderr : (n,) standard error of the value.
     """
 
     values: Array
@@ -118,13 +118,13 @@ class TouchValues:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledTouches:
-    """The same places by a modelled sheet alone.
+    """Places of the touches by a modelled sheet alone.
 
     Parameters
     ----------
-    place_mm, covariance_mm2 : (n, 2) and (n, 2, 2); NaN in frames that do not tell it.
+    place_mm, covariance_mm2 : (n, 2) places and their (n, 2, 2) covariances; NaN in frames that do not tell it.
     explained : (n,) share of the readings' squares that a touch there explains.
-    in_model : (n,) whether that is enough for the place to be relied on.
+    in_model : (n,) mask of frames in which that is enough for the place to be relied on.
     """
 
     place_mm: Array
@@ -135,17 +135,17 @@ class ModelledTouches:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class Touches:
-    """What n frames tell of one touch each. What the calibration cannot tell is None; what a frame does not is NaN.
+    """One touch in each of n frames: None for what the calibration cannot tell, NaN for what a frame does not.
 
     Parameters
     ----------
-    touch : (n,) whether something presses; it means nothing where not :attr:`readable`.
+    touch : (n,) mask of frames in which something presses; it means nothing where not :attr:`readable`.
     place_mm : (n, 2) place of the touch, in the axes of :attr:`CalibrationIdentity.axes`.
-    place_stderr_mm : (n,) its standard error, root mean square over two axes.
-    radius_68_mm, radius_95_mm : (n,) of circles about the place that hold it at least with that probability.
-    covariance_mm2 : (n, 2, 2) of the place; see :class:`Regions`.
-    force, depth : of the touch.
-    flags : (n,) of :class:`~cbsr_qa.calibration.force.inverse.Flag`.
+    place_stderr_mm : (n,) standard error of the place, root mean square over two axes.
+    radius_68_mm, radius_95_mm : (n,) radii of circles about the place that hold it at least with that probability.
+    covariance_mm2 : (n, 2, 2) covariances of the place; see :class:`Regions`.
+    force, depth : force [N] and depth [mm] of the touch.
+    flags : (n,) values of :class:`~cbsr_qa.calibration.force.inverse.Flag`.
     detectability : (n,) signal of the touch over the noise of the readings.
     settled_in_s : (n,) time until the force counts, 0 where it does; NaN where that is not known.
     modelled : places by a modelled sheet alone.
@@ -174,15 +174,15 @@ class Touches:
 
     @property
     def readable(self) -> Mask:
-        """Which frames (n,) tell whether something presses."""
+        """Mask (n,) of frames that tell whether something presses."""
         readable: Mask = (self.flags & NO_FORCE) == 0
         return readable
 
     @property
     def in_model(self) -> Mask:
-        """Which frames (n,) are of one touch like those that calibrated."""
-        inside: Mask = (self.flags & _UNLIKE) == 0
-        return inside
+        """Mask (n,) of frames of one touch like those of the calibration."""
+        model_mask: Mask = (self.flags & _UNLIKE) == 0
+        return model_mask
 
 
 class FrameSequence(Protocol):
@@ -190,7 +190,7 @@ class FrameSequence(Protocol):
 
     Attributes
     ----------
-    remarks : what is done to readings, and what was not checked, in words.
+    remarks : sentences that say what is done to readings, and what was not checked.
     """
 
     @property
@@ -206,12 +206,12 @@ class Estimator(Protocol):
 
     Attributes
     ----------
-    identity : which calibration it is.
-    lacks : what it cannot do, with the reason as the end of a sentence that begins with the calibration.
-    sensor_type : of its frames; None if it keeps only the name and the pattern.
-    pattern : of its frames; None where :attr:`Ability.FRAMES` is lacking.
-    head : that it was learned with; None if that is not known.
-    regions : of its places; None where :attr:`Ability.REGION` is lacking.
+    identity : identity of the calibration and of its sensor.
+    lacks : abilities that it lacks, each with the reason as the end of a sentence that begins with the calibration.
+    sensor_type : type of the sensor of its frames; None if it keeps only the name and the pattern.
+    pattern : drive pattern of its frames; None where :attr:`Ability.FRAMES` is lacking.
+    head : head that it was learned with; None if that is not known.
+    regions : regions of its places; None where :attr:`Ability.REGION` is lacking.
     """
 
     @property
@@ -245,7 +245,7 @@ class Estimator(Protocol):
         ...
 
     def prepare(self) -> None:
-        """Work out what is worked out once, so that no frame waits for it.
+        """Compute what is computed only once, so that no frame waits for it.
 
         CalibrationError if it cannot be applied to frames.
         """
@@ -268,11 +268,11 @@ class Estimator(Protocol):
 
         Parameters
         ----------
-        name : of the frames, in messages.
+        name : name of the frames in messages.
         first : frames of which unit, current and unloaded sheet are known; they are not estimated.
-        unloaded : what frames are compared with.
-        timed : whether the times of frames rise; else each is estimated by itself.
-        place_mm : (2,) of the touch, where :attr:`Ability.GIVEN_PLACE` is not lacking; None to estimate it.
+        unloaded : unloaded frames that frames are compared with.
+        timed : True if the times of frames rise; False to estimate each frame by itself.
+        place_mm : (2,) place of the touch, where :attr:`Ability.GIVEN_PLACE` is not lacking; None to estimate it.
 
         Raises
         ------
@@ -291,9 +291,9 @@ class Estimator(Protocol):
         Parameters
         ----------
         pairs : (k, 4) source, sink, plus and minus of the readings, each once, in any order and polarity.
-        readings : (n, k) in the unit of the calibration; NaN where one is missing.
-        relative : whether the unloaded frame was subtracted from them.
-        differences : whether they are changes in which faults cannot be found.
+        readings : (n, k) readings in the unit of the calibration; NaN where one is missing.
+        relative : True if the unloaded frame was subtracted from the readings.
+        differences : True if the readings are changes in which faults cannot be found.
 
         Raises
         ------
@@ -314,8 +314,14 @@ def read_value(quantity: TouchValues | None, frame: int) -> tuple[float | None, 
     """Return what one frame tells of a quantity, else None: its value, and the intervals of 68 and 95 %."""
     if quantity is None or not np.isfinite(quantity.values[frame]):
         return None, None, None
-    within = (None if each is None else each[frame].tolist() for each in (quantity.within_68, quantity.within_95))
-    inner, outer = (None if each is None or not np.isfinite(each).all() else (each[0], each[1]) for each in within)
+    intervals = (
+        None if interval is None else interval[frame].tolist()
+        for interval in (quantity.within_68, quantity.within_95)
+    )
+    inner, outer = (
+        None if interval is None or not np.isfinite(interval).all() else (interval[0], interval[1])
+        for interval in intervals
+    )
     return float(quantity.values[frame]), inner, outer
 
 

@@ -1,8 +1,8 @@
 """A force model for frames in which some readings say nothing, or an offset is added to all. Numpy alone.
 
 Rows of merged readings keep what their other readings say, with the noise of those; rows without any are taken away.
-Of frames with an offset, only what no offset can be is compared. In both cases templates, and with them the errors of
-place and strength, become those of what is left.
+In frames with an offset, only the part that no offset explains is compared. In both cases templates, and with them
+the errors of place and strength, become those of the remaining part.
 """
 
 from dataclasses import replace
@@ -14,10 +14,10 @@ from cbsr_qa.domain.goodness import unlike_model
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel
 
-#: Fewer rows determine no place.
+#: Fewest rows that determine a place.
 FEWEST_ROWS: Final = 12
-#: An offset on all readings explains so much of what a head, or nothing, leaves beyond noise, and at least so many
-#: squares of noise.
+#: Least share of the residual of a head, or of none, beyond noise that an offset on all readings explains, and its
+#: least amount in squares of noise.
 BY_OFFSET: Final = 0.95
 LEAST_OFFSET: Final = 50.0
 
@@ -33,25 +33,32 @@ def reading_noise(merging: Array) -> Array:
 def drop_readings(model: ForceModel, kept: Mask) -> ForceModel:
     """Return the model of frames with fewer readings: ``kept`` (m,) bool of its own."""
     weight = np.abs(model.merging)
-    whole = weight.sum(axis=1)  # the root of a row's precision
-    left = np.sqrt((weight * kept).sum(axis=1) / whole)
-    rows = left > 0
-    merging = model.merging[rows][:, kept] / left[rows, None]
-    return _with_rows(model, merging, model.templates[:, rows] * left[rows], model.size_slope[:, rows] * left[rows])
+    precision = weight.sum(axis=1)  # the root of a row's precision
+    remaining_root = np.sqrt((weight * kept).sum(axis=1) / precision)
+    rows = remaining_root > 0
+    merging = model.merging[rows][:, kept] / remaining_root[rows, None]
+    return _with_rows(
+        model,
+        merging,
+        model.templates[:, rows] * remaining_root[rows],
+        model.size_slope[:, rows] * remaining_root[rows],
+    )
 
 
 def ignore_offset(model: ForceModel) -> ForceModel:
     """Return the model of frames with an unknown offset on all readings."""
-    along = offset_row(model)
-    merging = model.merging - np.outer(along, along @ model.merging)
-    templates, size_slope = (each - np.outer(each @ along, along) for each in (model.templates, model.size_slope))
+    unit_row = offset_row(model)
+    merging = model.merging - np.outer(unit_row, unit_row @ model.merging)
+    templates, size_slope = (
+        rows - np.outer(rows @ unit_row, unit_row) for rows in (model.templates, model.size_slope)
+    )
     return _with_rows(model, merging, templates, size_slope)
 
 
 def offset_row(model: ForceModel) -> Array:
     """Rows (r,) of one offset on all readings, of unit length."""
-    along = model.merging.sum(axis=1)
-    row: Array = along / np.linalg.norm(along)
+    offset = model.merging.sum(axis=1)
+    row: Array = offset / np.linalg.norm(offset)
     return row
 
 
@@ -59,15 +66,15 @@ def offset_between(model: ForceModel, difference: Array) -> Mask:
     """Whether differences (n, m) of two frames each are one offset on all readings, and little else."""
     rows = difference @ model.merging.T / np.sqrt(2)
     size = (rows @ offset_row(model)) ** 2
-    rest = (rows**2).sum(axis=1) - size
-    even: Mask = (size > LEAST_OFFSET) & ~unlike_model(size, rest, rows.shape[1], 1 - BY_OFFSET)
-    return even
+    residual_square = (rows**2).sum(axis=1) - size
+    offset_mask: Mask = (size > LEAST_OFFSET) & ~unlike_model(size, residual_square, rows.shape[1], 1 - BY_OFFSET)
+    return offset_mask
 
 
 def _with_rows(model: ForceModel, merging: Array, templates: Array, size_slope: Array) -> ForceModel:
     length = np.linalg.norm(templates, axis=1)
     unit = templates / length[:, None]
-    slopes, there = lattice_slopes(model.node, unit, model.lattice.spacing_mm)
+    slopes, inner_mask = lattice_slopes(model.node, unit, model.lattice.spacing_mm)
     turns = np.stack([(slopes[:, a] * slopes[:, b]).sum(axis=1) for a, b in ((0, 0), (0, 1), (1, 1))], axis=1)
     growth, _ = lattice_slopes(model.node, np.log(length)[:, None], model.lattice.spacing_mm)
     return replace(
@@ -77,7 +84,7 @@ def _with_rows(model: ForceModel, merging: Array, templates: Array, size_slope: 
         log_size=model.log_size + np.log(length),
         size_slope=size_slope / length[:, None],
         log_size_gradient=model.log_size_gradient + growth[:, :, 0],
-        turning=np.where(there[:, None], turns, model.turning),
+        turning=np.where(inner_mask[:, None], turns, model.turning),
     )
 
 
@@ -85,12 +92,14 @@ def lattice_slopes(node: Indices, values: Array, spacing_mm: float) -> tuple[Arr
     """Slopes (nodes, 2, k) along x and y of values (nodes, k) [1/mm], and at which nodes both have a neighbour."""
     padded = np.pad(node, 1, constant_values=-1)
     row, column = np.nonzero(node >= 0)
-    here = padded[row + 1, column + 1]
-    slopes, there = np.zeros((len(values), 2, values.shape[1])), np.ones(len(values), dtype=np.bool_)
+    node_index = padded[row + 1, column + 1]
+    slopes, neighbour_mask = np.zeros((len(values), 2, values.shape[1])), np.ones(len(values), dtype=np.bool_)
     for axis, (down, across) in enumerate(((0, 1), (1, 0))):
         ahead, behind = padded[row + 1 + down, column + 1 + across], padded[row + 1 - down, column + 1 - across]
         steps = (ahead >= 0).astype(np.float64) + (behind >= 0)
-        difference = values[np.where(ahead >= 0, ahead, here)] - values[np.where(behind >= 0, behind, here)]
-        slopes[here, axis] = difference / (np.maximum(steps, 1) * spacing_mm)[:, None]
-        there[here] &= steps > 0
-    return slopes, there
+        difference = (
+            values[np.where(ahead >= 0, ahead, node_index)] - values[np.where(behind >= 0, behind, node_index)]
+        )
+        slopes[node_index, axis] = difference / (np.maximum(steps, 1) * spacing_mm)[:, None]
+        neighbour_mask[node_index] &= steps > 0
+    return slopes, neighbour_mask

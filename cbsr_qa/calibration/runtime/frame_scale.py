@@ -22,13 +22,13 @@ _REFERENCE: Final = (
 
 @dataclass(frozen=True, slots=True, eq=False)
 class FrameScale:
-    """What turns readings into voltages at the calibration's current.
+    """Scale and offset that turn readings into voltages at the calibration's current.
 
     Parameters
     ----------
     ratio : V of the calibration in one unit of the readings.
     own, reference : (drives, measures) unloaded readings, and the calibration's that replace them; 0 to keep those.
-    remarks : what is done, in words.
+    remarks : sentences that say what is done.
     """
 
     ratio: float
@@ -47,7 +47,7 @@ class FrameScale:
         Parameters
         ----------
         issued : calibration to whose current they are brought.
-        name : of the frames, in messages.
+        name : name of the frames in messages.
         reference : number of first frames of the unloaded sheet; their mean, scaled by least squares, replaces the
             calibration's reference. None to keep the latter.
 
@@ -64,17 +64,17 @@ class FrameScale:
                 f" sensor {issued.sensor.serial} is in volts",
                 remedy=_REFERENCE,
             )
-        current_A, own_A = frames.current_A, issued.current_A
+        current_A, calibrated_A = frames.current_A, issued.current_A
         if current_A is None:
             raise RecordingError(
                 f"{name} does not say its drive current, which scales every reading", remedy=_REFERENCE
             )
         if not current_A > 0:
             raise RecordingError(f"{name} states a drive current of {current_A:g} A")
-        if np.isclose(current_A, own_A, rtol=1e-9):
+        if np.isclose(current_A, calibrated_A, rtol=1e-9):
             return cls(1.0)
-        remark = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * own_A:.4g} mA"
-        return cls(own_A / current_A, remarks=(remark,))
+        remark = f"readings at {1e3 * current_A:.4g} mA were scaled to the calibration's {1e3 * calibrated_A:.4g} mA"
+        return cls(calibrated_A / current_A, remarks=(remark,))
 
     @classmethod
     def _against_own(cls, issued: Calibration, name: str, frames: FrameBlock, count: int) -> Self:
@@ -82,27 +82,29 @@ class FrameScale:
             raise RecordingError(
                 f"--reference {count} of {name}, which holds {len(frames)} frames; 1 to {len(frames)} are allowed"
             )
-        used = issued.reconstruction.problem.used
-        own, reference = whole_readings(frames)[:count].mean(axis=0), issued.reference
-        seen, known = own[used], reference[used]
-        if not np.isfinite(seen).all():
+        used_mask = issued.reconstruction.problem.used
+        mean_frame, reference = whole_readings(frames)[:count].mean(axis=0), issued.reference
+        mean_readings, reference_readings = mean_frame[used_mask], reference[used_mask]
+        if not np.isfinite(mean_readings).all():
             raise RecordingError(f"a used reading of the first {count} frames of {name} is missing or saturated")
-        power = float(seen @ seen)
-        ratio = float(seen @ known) / power if power > 0 else 0.0
-        apart = float(np.linalg.norm(ratio * seen - known) / np.linalg.norm(known))
-        if not (ratio > 0 and apart <= _MOST_APART):
+        power = float(mean_readings @ mean_readings)
+        ratio = float(mean_readings @ reference_readings) / power if power > 0 else 0.0
+        relative_difference = float(
+            np.linalg.norm(ratio * mean_readings - reference_readings) / np.linalg.norm(reference_readings)
+        )
+        if not (ratio > 0 and relative_difference <= _MOST_APART):
             raise RecordingError(
                 f"the first {count} frames of {name} are not those of sensor {issued.sensor.serial}"
-                f" unloaded: scaled as well as can be they differ from its reference by {apart:.0%};"
+                f" unloaded: scaled as well as can be they differ from its reference by {relative_difference:.0%};"
                 f" {_MOST_APART:.0%} is allowed",
                 remedy="check the sensor, the order of its electrodes, and that nothing pressed",
             )
         remark = (
             f"changes are against the first {count} frames, of which 1 {frames.unit.value} is {ratio:.6g} V of the"
-            f" calibration; unloaded they differ from its reference by {apart:.2%}, and their own noise (1/{count} of"
-            " a frame's variance) is not in the standard errors"
+            f" calibration; unloaded they differ from its reference by {relative_difference:.2%}, and their own noise"
+            f" (1/{count} of a frame's variance) is not in the standard errors"
         )
-        return cls(ratio, own, reference, (remark,))
+        return cls(ratio, mean_frame, reference, (remark,))
 
 
 def check_recording(issued: Calibration, recording: Recording) -> None:
@@ -114,13 +116,13 @@ def check_recording(issued: Calibration, recording: Recording) -> None:
             remedy="apply the calibration that was issued for this sensor",
         )
     if recording.scan is not ScanKind.FULL or recording.magnitudes_only:
-        held = "absolute values" if recording.magnitudes_only else "driven pairs alone"
-        raise RecordingError(f"{name} holds {held}; a force needs every reading with its sign")
-    found, wanted = recording.frames.voltages.shape[1:], issued.reference.shape
-    if found != wanted:
+        content = "absolute values" if recording.magnitudes_only else "driven pairs alone"
+        raise RecordingError(f"{name} holds {content}; a force needs every reading with its sign")
+    frame_shape, calibrated_shape = recording.frames.voltages.shape[1:], issued.reference.shape
+    if frame_shape != calibrated_shape:
         raise RecordingError(
-            f"{name} holds frames of {found[0]} × {found[1]} readings, the calibration is for"
-            f" {wanted[0]} × {wanted[1]}"
+            f"{name} holds frames of {frame_shape[0]} × {frame_shape[1]} readings, the calibration is for"
+            f" {calibrated_shape[0]} × {calibrated_shape[1]}"
         )
     if not len(recording.frames):
         raise RecordingError(f"{name} holds no frame")

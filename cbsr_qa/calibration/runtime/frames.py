@@ -1,4 +1,4 @@
-"""Frames of one sensor as changes of its readings, with what is left where some say nothing. Numpy alone."""
+"""Frames of one sensor as changes of its readings, without readings that say nothing. Numpy alone."""
 
 from collections.abc import Iterator
 from copy import copy
@@ -43,13 +43,13 @@ class SensorFrames:
                 remedy="calibrate the sensor again: run a recipe whose calibration phases press three places or more",
             )
         self.issued = issued
-        used, pattern = issued.reconstruction.problem.used, issued.reconstruction.problem.sensor_type.pattern
-        pairs = np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(used)])
-        self._find_faults = FaultFinder(pairs, issued.reference[used], reading_noise(issued.force.merging))
+        used_mask, pattern = issued.reconstruction.problem.used, issued.reconstruction.problem.sensor_type.pattern
+        pairs = np.array([(*pattern.drive[d], *pattern.measure[m]) for d, m in np.argwhere(used_mask)])
+        self._find_faults = FaultFinder(pairs, issued.reference[used_mask], reading_noise(issued.force.merging))
         self._without: dict[bytes, Self] = {}
         self._level: Self | None = None
         self._fewer = False
-        self._use(issued.force, used)
+        self._use(issued.force, used_mask)
 
     def _use(self, model: ForceModel, used: Mask) -> None:
         """Use a model of some readings, (drives, measures) bool."""
@@ -97,19 +97,21 @@ class SensorFrames:
         return voltages.reshape(-1, *shape)
 
     def changes_of(self, voltages: Array) -> tuple[Array, Indices]:
-        """Changes as in :meth:`changes`, of :meth:`voltages` whose readings can all be used."""
+        """Changes of :meth:`changes` for :meth:`voltages` whose readings can all be used."""
         changes = voltages[:, self._used] - self._reference
         flags = np.zeros(len(changes), dtype=np.int64)
-        whole = np.isfinite(changes).all(axis=1) & (len(self._merging.T) >= FEWEST_ROWS)
-        flags[~whole] |= Flag.UNREADABLE
-        changes[~whole] = 0
+        readable_mask = np.isfinite(changes).all(axis=1) & (len(self._merging.T) >= FEWEST_ROWS)
+        flags[~readable_mask] |= Flag.UNREADABLE
+        changes[~readable_mask] = 0
         flags[self._without_spikes(changes)] |= Flag.SPIKE
-        far = _FOREIGN**2 * float(self._reference @ self._reference)
-        foreign = ~(np.einsum("nm,nm->n", changes, changes) <= far)
-        if foreign.any():
-            level = changes[foreign] - np.median(changes[foreign], axis=1, keepdims=True)
-            foreign[foreign] = np.einsum("nm,nm->n", level, level) > far * (_FOREIGN_LEVEL / _FOREIGN) ** 2
-        flags[foreign] |= Flag.OTHER_SENSOR
+        largest_square = _FOREIGN**2 * float(self._reference @ self._reference)
+        foreign_mask = ~(np.einsum("nm,nm->n", changes, changes) <= largest_square)
+        if foreign_mask.any():
+            level = changes[foreign_mask] - np.median(changes[foreign_mask], axis=1, keepdims=True)
+            foreign_mask[foreign_mask] = (
+                np.einsum("nm,nm->n", level, level) > largest_square * (_FOREIGN_LEVEL / _FOREIGN) ** 2
+            )
+        flags[foreign_mask] |= Flag.OTHER_SENSOR
         changes[flags & NO_FORCE != 0] = 0
         return changes, flags
 
@@ -126,8 +128,8 @@ class SensorFrames:
             return
         patterns, number = np.unique(faults.left_out, axis=0, return_inverse=True)
         for pattern, left_out in enumerate(patterns):
-            which = np.flatnonzero(number.ravel() == pattern)
-            yield self._with(~left_out), which, faults.flags[which]
+            frame_indices = np.flatnonzero(number.ravel() == pattern)
+            yield self._with(~left_out), frame_indices, faults.flags[frame_indices]
 
     def _with(self, kept: Mask) -> Self:
         if kept.all():
@@ -136,11 +138,11 @@ class SensorFrames:
         if key not in self._without:
             while len(self._without) >= _FAULTS:
                 self._without.pop(next(iter(self._without)))
-            fewer, used = copy(self), self._used.copy()
-            used[used] = kept
-            fewer._level, fewer._fewer = None, True
-            fewer._use(drop_readings(self.model, kept), used)
-            self._without[key] = fewer
+            reduced, used_mask = copy(self), self._used.copy()
+            used_mask[used_mask] = kept
+            reduced._level, reduced._fewer = None, True
+            reduced._use(drop_readings(self.model, kept), used_mask)
+            self._without[key] = reduced
         return self._without[key]
 
     def level(self) -> Self:

@@ -105,31 +105,31 @@ class HeadForces(SensorFrames):
         voltages = self.voltages(frames, current_A)
         head = self.issued.indenter if indenter is None else indenter
         places = None if place_mm is None else self._places(place_mm, len(voltages))
-        parts = []
-        for usable, which, flags in self.sound_parts(voltages):
-            changes, bad = usable.changes_of(voltages[which])
-            there = places if places is None or places.ndim == 1 else places[which]
-            parts.append((which, usable._force(changes, bad | flags, there, head)))
-        return join_forces(parts)
+        forces_by_part = []
+        for usable, frame_indices, flags in self.sound_parts(voltages):
+            changes, bad_flags = usable.changes_of(voltages[frame_indices])
+            part_places = places if places is None or places.ndim == 1 else places[frame_indices]
+            forces_by_part.append((frame_indices, usable._force(changes, bad_flags | flags, part_places, head)))
+        return join_forces(forces_by_part)
 
     def _force(self, changes: Array, bad: Indices, places: Array | None, head: Indenter) -> Forces:
         finder, rows = self._filter(head), changes @ self._merging
         matches = finder.search(rows) if places is None else finder.match_at(rows, places)
-        moved = self.moved(changes, matches, head)
-        if moved.any():
-            parts = []
-            for usable, flag, which in ((self, 0, ~moved), (self.level(), int(Flag.OFFSET), moved)):
-                there = places if places is None or places.ndim == 1 else places[which]
-                forces = usable._force(changes[which], bad[which] | flag, there, head)
-                parts.append((np.flatnonzero(which), forces))
-            return join_forces(parts)
-        others = self._others(rows, matches, finder)
+        offset_mask = self.moved(changes, matches, head)
+        if offset_mask.any():
+            forces_by_part = []
+            for usable, flag, part_mask in ((self, 0, ~offset_mask), (self.level(), int(Flag.OFFSET), offset_mask)):
+                part_places = places if places is None or places.ndim == 1 else places[part_mask]
+                forces = usable._force(changes[part_mask], bad[part_mask] | flag, part_places, head)
+                forces_by_part.append((np.flatnonzero(part_mask), forces))
+            return join_forces(forces_by_part)
+        other_strength = self._others(rows, matches, finder)
         if places is None:
-            found = finder.ambiguous(rows, matches) if self._fewer else matches
-            modelled = add_scatter(found, finder.size_slope(found.place_mm), self.model.place_scatter_mm)
+            widened = finder.ambiguous(rows, matches) if self._fewer else matches
+            modelled = add_scatter(widened, finder.size_slope(widened.place_mm), self.model.place_scatter_mm)
             learned = None if finder is not self.filter else self._pressed  # it was learned with the calibrating head
             matches = modelled if learned is None else learned(rows, matches, modelled, finder)
-        return self._forces(self._scale_to_area(matches, head), bad, others, head, searched=places is None)
+        return self._forces(self._scale_to_area(matches, head), bad, other_strength, head, searched=places is None)
 
     def forces(
         self,
@@ -145,8 +145,8 @@ class HeadForces(SensorFrames):
 
         Parameters
         ----------
-        frames, indenter, current_A : as for :meth:`force`; all heads are equal.
-        at_most : most heads searched for.
+        frames, indenter, current_A : arguments of :meth:`force`; all heads are equal.
+        at_most : largest number of heads that are searched for.
 
         Raises
         ------
@@ -157,35 +157,39 @@ class HeadForces(SensorFrames):
             raise CalibrationError(f"{at_most} heads cannot be searched for", remedy="look for at least 1")
         voltages = self.voltages(frames, current_A)
         head = self.issued.indenter if indenter is None else indenter
-        found: dict[int, SeveralForces] = {}
-        for usable, which, flags in self.sound_parts(voltages):
-            changes, bad = usable.changes_of(voltages[which])
-            found |= dict(zip(which.tolist(), usable._several(changes, bad | flags, at_most, head), strict=True))
-        return tuple(found[frame] for frame in range(len(voltages)))
+        forces_by_frame: dict[int, SeveralForces] = {}
+        for usable, frame_indices, flags in self.sound_parts(voltages):
+            changes, bad_flags = usable.changes_of(voltages[frame_indices])
+            forces_by_frame |= dict(
+                zip(frame_indices.tolist(), usable._several(changes, bad_flags | flags, at_most, head), strict=True)
+            )
+        return tuple(forces_by_frame[frame] for frame in range(len(voltages)))
 
     def _several(self, changes: Array, bad: Indices, at_most: int, head: Indenter) -> list[SeveralForces]:
         finder, rows = self._filter(head), changes @ self._merging
         matches = finder.search(rows)
-        least = self.model.threshold**2
-        several = finder.match_beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least
-        moved = self.moved(changes, matches, head)
+        least_gain = self.model.threshold**2
+        several_mask = finder.match_beside(rows, matches.place_mm, matches.strength)[0] >= _SUSPICIOUS * least_gain
+        offset_mask = self.moved(changes, matches, head)
         counter = HeadCounter(
             finder, threshold=self.model.threshold, misfit=self.model.misfit, diameter_mm=head.diameter_mm
         )
         several_forces = []
         for frame, flag in enumerate(bad.tolist()):
             if flag & NO_FORCE:
-                one = nothing_together(np.nan, np.nan, Flag(flag))
-            elif moved[frame]:
-                alone = slice(frame, frame + 1)
-                one = self.level()._several(changes[alone], bad[alone] | int(Flag.OFFSET), at_most, head)[0]
-            elif matches.gain[frame] < least and not several[frame]:
-                one = nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
+                frame_forces = nothing_together(np.nan, np.nan, Flag(flag))
+            elif offset_mask[frame]:
+                single_frame = slice(frame, frame + 1)
+                frame_forces = self.level()._several(
+                    changes[single_frame], bad[single_frame] | int(Flag.OFFSET), at_most, head
+                )[0]
+            elif matches.gain[frame] < least_gain and not several_mask[frame]:
+                frame_forces = nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
             else:
-                most = at_most if several[frame] else 1
-                heads, further = counter.heads(rows[frame], matches.place_mm[frame], most)
-                one = self._together(heads, further if several[frame] else 0.0, finder, head)
-            several_forces.append(replace(one, flags=one.flags | Flag(flag)))
+                most_heads = at_most if several_mask[frame] else 1
+                heads, unexplained = counter.heads(rows[frame], matches.place_mm[frame], most_heads)
+                frame_forces = self._together(heads, unexplained if several_mask[frame] else 0.0, finder, head)
+            several_forces.append(replace(frame_forces, flags=frame_forces.flags | Flag(flag)))
         return several_forces
 
     def _together(
@@ -206,19 +210,21 @@ class HeadForces(SensorFrames):
         )
 
     def moved(self, changes: Array, matches: Matches | None = None, head: Indenter | None = None) -> Mask:
-        """Which frames (n,) leave of one head what one offset on all readings, and little else, explains."""
+        """Mask (n,) of frames in which one offset on all readings explains the residual of one head."""
         head = head or self.issued.indenter
         matches = matches or self._filter(head).search(changes @ self._merging)
-        moved = np.zeros(len(changes), dtype=np.bool_)
-        freedom, left = len(self._merging.T), matches.energy - matches.gain
-        noticed = np.flatnonzero(unlike_model(matches.gain, left, freedom, self.model.misfit))
-        if self._level is not self and len(noticed):
+        offset_mask = np.zeros(len(changes), dtype=np.bool_)
+        freedom, residual_energy = len(self._merging.T), matches.energy - matches.gain
+        unlike_frames = np.flatnonzero(unlike_model(matches.gain, residual_energy, freedom, self.model.misfit))
+        if self._level is not self and len(unlike_frames):
             level = self.level()
-            again = level._filter(head).search(changes[noticed] @ level._merging)
-            rest = np.maximum(again.energy - again.gain - freedom, 0.0)
-            by_offset = left[noticed] - freedom - rest
-            moved[noticed] = by_offset > np.maximum(BY_OFFSET * (left[noticed] - freedom), LEAST_OFFSET)
-        return moved
+            levelled_matches = level._filter(head).search(changes[unlike_frames] @ level._merging)
+            levelled_excess = np.maximum(levelled_matches.energy - levelled_matches.gain - freedom, 0.0)
+            by_offset = residual_energy[unlike_frames] - freedom - levelled_excess
+            offset_mask[unlike_frames] = by_offset > np.maximum(
+                BY_OFFSET * (residual_energy[unlike_frames] - freedom), LEAST_OFFSET
+            )
+        return offset_mask
 
     def _filter(self, head: Indenter) -> TemplateFilter:
         size = self._size(head)
@@ -254,20 +260,26 @@ class HeadForces(SensorFrames):
 
     def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
         """Strength (n,) of further heads relative to the found one; 0 for a single head."""
-        others = np.zeros(len(rows))
-        left, gain = matches.energy - matches.gain, matches.gain
+        other_strength = np.zeros(len(rows))
+        residual_energy, gain = matches.energy - matches.gain, matches.gain
         freedom = self.model.templates.shape[1]
-        looked = np.flatnonzero((left > freedom + self.model.misfit * gain) & (gain >= self.model.threshold**2))
-        if len(looked):
-            place, strength, gain_there = matches.place_mm[looked], matches.strength[looked], gain[looked]
-            further, there = finder.match_beside(rows[looked], place, strength)
-            ratio = np.abs(there) / np.maximum(np.abs(strength), np.finfo(np.float64).tiny)
-            clear = further >= self.model.threshold**2 + self.model.misfit * gain_there
-            others[looked] = np.where(clear & (ratio > _LEFT_BEHIND), ratio, 0.0)
+        searched_frames = np.flatnonzero(
+            (residual_energy > freedom + self.model.misfit * gain) & (gain >= self.model.threshold**2)
+        )
+        if len(searched_frames):
+            place, strength, gain_there = (
+                matches.place_mm[searched_frames],
+                matches.strength[searched_frames],
+                gain[searched_frames],
+            )
+            second_gain, second_strength = finder.match_beside(rows[searched_frames], place, strength)
+            ratio = np.abs(second_strength) / np.maximum(np.abs(strength), np.finfo(np.float64).tiny)
+            clear_mask = second_gain >= self.model.threshold**2 + self.model.misfit * gain_there
+            other_strength[searched_frames] = np.where(clear_mask & (ratio > _LEFT_BEHIND), ratio, 0.0)
         # Part that no template explains beyond noise, relative to the first head's.
-        unlike = unlike_model(gain, left, freedom, max(self.model.misfit, _UNLIKE))
-        share = np.sqrt(np.maximum(left - freedom, 0.0) / np.maximum(gain, 1.0))
-        return np.where(unlike, np.maximum(others, share), others)
+        unlike_mask = unlike_model(gain, residual_energy, freedom, max(self.model.misfit, _UNLIKE))
+        share = np.sqrt(np.maximum(residual_energy - freedom, 0.0) / np.maximum(gain, 1.0))
+        return np.where(unlike_mask, np.maximum(other_strength, share), other_strength)
 
     def _forces(
         self,
@@ -282,41 +294,41 @@ class HeadForces(SensorFrames):
         matches.covariance[:, 0, 0] += (error * matches.strength) ** 2
         force, stderr = self._inverse(head).force(matches)
         detectability = np.sqrt(matches.gain)
-        usable = bad & NO_FORCE == 0
-        flags = np.where(usable, self._flags(matches, detectability, searched=searched) | bad, bad)
+        usable_mask = bad & NO_FORCE == 0
+        flags = np.where(usable_mask, self._flags(matches, detectability, searched=searched) | bad, bad)
         silent = (flags & int(Flag.NOT_DETECTED)) != 0
         if searched:
             # An undetected load may be where the sheet responds least.
             force[silent], stderr[silent] = 0.0, self.least_force_N
-        loaded = ~silent & usable
+        loaded = ~silent & usable_mask
         several = loaded & (others > 0)
         stderr = np.where(several, np.hypot(stderr, np.abs(force) * others), stderr)
         flags |= several * int(Flag.MORE_THAN_ONE)
         flags |= loaded * range_flags(force, stderr, matches.place_mm, self.issued.validity)
         flags |= (loaded & (error > LARGEST)) * int(Flag.OTHER_HEAD)
-        force[~usable] = np.nan
-        stderr[~usable] = np.nan
+        force[~usable_mask] = np.nan
+        stderr[~usable_mask] = np.nan
         place = (matches.covariance[:, 1, 1] + matches.covariance[:, 2, 2]) / 2
         place_stderr = np.sqrt(np.where(place >= 0, place, np.nan))
-        where = matches.place_mm
+        place_mm = matches.place_mm
         if searched:  # searched in vain in an unusable frame
-            where[~usable] = np.nan
-            place_stderr[~usable] = np.nan
-        return Forces(force, stderr, where, place_stderr, detectability, flags)
+            place_mm[~usable_mask] = np.nan
+            place_stderr[~usable_mask] = np.nan
+        return Forces(force, stderr, place_mm, place_stderr, detectability, flags)
 
     def _least_force_N(self) -> float:
         model = self.model
         places = model.lattice.places_mm()[model.node.ravel() >= 0]
-        near = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
-        where = near if near.any() else model.fits
-        return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[where]), places[where])))
+        near_mask = model.fits & (np.hypot(*places.T) <= self.issued.validity.radius_mm)
+        node_mask = near_mask if near_mask.any() else model.fits
+        return float(np.nanmax(least_force_N(self.inverse, np.exp(model.log_size[node_mask]), places[node_mask])))
 
     def _flags(self, matches: Matches, detectability: Array, *, searched: bool) -> Indices:
         level = self.model.threshold if searched else _CLEAR
-        there = detectability >= level
+        detected_mask = detectability >= level
         flags: Indices = (detectability < level) * int(Flag.NOT_DETECTED)
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
-        flags |= (there & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
+        flags |= (detected_mask & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
 
 

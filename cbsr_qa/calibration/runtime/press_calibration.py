@@ -54,7 +54,7 @@ _UNCHECKED: Final = "a calibration from presses states no serial number: that it
 
 
 class PressCalibration:
-    """What was learned from labelled presses, ready to be applied.
+    """Calibration learned from labelled presses, ready to be applied.
 
     An :class:`~cbsr_qa.calibration.runtime.estimator.Estimator`. Changes of the calibrated readings alone are located
     by :meth:`places`; faults are found in whole frames only.
@@ -63,7 +63,7 @@ class PressCalibration:
     ----------
     issued : content of the file; ``issued.pairs`` (m, 4) names each reading, ``issued.rest`` (m,) the unloaded frame.
     q68, q95 : the region of that probability is all offsets d with dᵀΣ⁻¹d at most this, Σ of ``covariance_mm2``.
-    lacks, regions : as of the Protocol.
+    lacks, regions : attributes of the Protocol.
     """
 
     sensor_type: None = None
@@ -76,7 +76,9 @@ class PressCalibration:
         self.q68, self.q95 = float(self._locate.q68), float(self._locate.q95)
         self.regions = Regions(self.q68, self.q95)
         learned = {name: getattr(issued, name) for name in PRESS_QUANTITIES}
-        self._quantities = {name: QuantityEstimator(each) for name, each in learned.items() if each is not None}
+        self._quantities = {
+            name: QuantityEstimator(quantity) for name, quantity in learned.items() if quantity is not None
+        }
         missing = PRESS_QUANTITIES.keys() - self._quantities.keys()
         self.lacks: Mapping[Ability, str] = _LACKS | {
             Ability(name): f"was learned from presses that had no {name}" for name in missing
@@ -119,7 +121,7 @@ class PressCalibration:
 
     @property
     def identity(self) -> CalibrationIdentity:
-        """Which calibration it is."""
+        """Identity of the calibration."""
         issued = self.issued
         return CalibrationIdentity(
             "", issued.calibration, issued.digest, "presses", issued.sensor_type, issued.electrodes, _AXES
@@ -160,7 +162,7 @@ class PressCalibration:
         return self._estimate_selected(rows, self._selection)
 
     def prepare(self) -> None:
-        """Work out what is worked out once. CalibrationError if its readings are not those of frames."""
+        """Compute what is computed only once. CalibrationError if its readings are not those of frames."""
         self.places(np.zeros((1, self._selection.shape[1])))
 
     def check_recording(self, recording: Recording) -> None:
@@ -179,27 +181,27 @@ class PressCalibration:
         """Begin to estimate the frames of an instrument or a recording; see :class:`Estimator`."""
         if place_mm is not None:
             require_ability(self, Ability.GIVEN_PLACE, "leave the place out")
-        rest = unloaded.rest
+        rest_frames = unloaded.rest
         if unloaded.first is not None:
             if not 1 <= unloaded.first <= len(first):
                 raise RecordingError(f"--reference {unloaded.first} of {name}; it holds {len(first)} frames")
-            rest = first.select(slice(0, unloaded.first))
-        usable = self._require_pattern().usable()
-        at_rest = None if rest is None else whole_readings(rest)[:, usable]
-        if at_rest is not None and not np.isfinite(at_rest).all():
-            which = (
+            rest_frames = first.select(slice(0, unloaded.first))
+        usable_mask = self._require_pattern().usable()
+        rest_readings = None if rest_frames is None else whole_readings(rest_frames)[:, usable_mask]
+        if rest_readings is not None and not np.isfinite(rest_readings).all():
+            frames_name = (
                 f"the first {unloaded.first} frames of {name}" if unloaded.first else f"the frames at rest of {name}"
             )
-            raise RecordingError(f"a reading of {which} is missing or saturated")
-        if at_rest is None and not unloaded.differences:
+            raise RecordingError(f"a reading of {frames_name} is missing or saturated")
+        if rest_readings is None and not unloaded.differences:
             self._require_rest()
         estimate = partial(
             self._estimate_selected,
             selection=self._selection,
-            relative=at_rest is not None,
+            relative=rest_readings is not None,
             differences=unloaded.differences,
         )
-        return _Sequence(usable, 0.0 if at_rest is None else at_rest.mean(axis=0), estimate)
+        return _Sequence(usable_mask, 0.0 if rest_readings is None else rest_readings.mean(axis=0), estimate)
 
     def estimate_readings(
         self, pairs: Indices, readings: Array, *, relative: bool = False, differences: bool = False
@@ -212,18 +214,20 @@ class PressCalibration:
         self, readings: Array, selection: Array, *, relative: bool = False, differences: bool = False
     ) -> Touches:
         """Estimate the touches in rows of readings (n, k), which ``selection`` (k, m) makes the calibrated ones."""
-        missing = np.isnan(readings)
-        changes: Array = np.where(missing @ (selection != 0), np.nan, np.where(missing, 0.0, readings) @ selection)
+        missing_mask = np.isnan(readings)
+        changes: Array = np.where(
+            missing_mask @ (selection != 0), np.nan, np.where(missing_mask, 0.0, readings) @ selection
+        )
         if not (relative or differences):
             changes = changes - self._require_rest()
-        whole, faults = changes, None
+        sound_changes, faults = changes, None
         if self._find_faults is not None and not differences:
             faults = self._find_faults(self._require_rest() + changes)
-            whole = np.where(faults.left_out, np.nan, changes)
+            sound_changes = np.where(faults.left_out, np.nan, changes)
         places = self._locate(changes, faults)
-        with np.errstate(over="ignore"):  # of frames without a touch, which have none
+        with np.errstate(over="ignore"):  # frames without a touch have no quantities
             quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
-        modelled = None if self._modelled is None else self._modelled(whole)
+        modelled = None if self._modelled is None else self._modelled(sound_changes)
         return _make_touches(places, self.regions, quantities, modelled)
 
     @cached_property
@@ -275,14 +279,19 @@ def _make_touches(
     places: Places, regions: Regions, quantities: Mapping[str, Quantities], modelled: Places | None
 ) -> Touches:
     flags = places.flags.copy()
-    for each in quantities.values():
-        told = np.isfinite(each.values)
-        flags |= (told & each.below) * int(Flag.BELOW_RANGE) | (told & each.above) * int(Flag.ABOVE_RANGE)
-    placed: Mask = np.asarray(np.isfinite(places.place_mm).all(axis=1))
-    longest = np.full(len(placed), np.nan)
-    longest[placed] = np.linalg.eigvalsh(places.covariance_mm2[placed])[:, -1]
-    half_axis_mm = np.sqrt(np.maximum(longest, 0.0))
-    values = {name: TouchValues(each.values, each.within_68, each.within_95) for name, each in quantities.items()}
+    for quantity in quantities.values():
+        finite_mask = np.isfinite(quantity.values)
+        flags |= (finite_mask & quantity.below) * int(Flag.BELOW_RANGE) | (finite_mask & quantity.above) * int(
+            Flag.ABOVE_RANGE
+        )
+    placed_mask: Mask = np.asarray(np.isfinite(places.place_mm).all(axis=1))
+    largest_variance = np.full(len(placed_mask), np.nan)
+    largest_variance[placed_mask] = np.linalg.eigvalsh(places.covariance_mm2[placed_mask])[:, -1]
+    half_axis_mm = np.sqrt(np.maximum(largest_variance, 0.0))
+    values = {
+        name: TouchValues(quantity.values, quantity.within_68, quantity.within_95)
+        for name, quantity in quantities.items()
+    }
     return Touches(
         touch=(flags & int(Flag.UNREADABLE | Flag.NOT_DETECTED)) == 0,
         flags=flags,

@@ -1,4 +1,4 @@
-"""Places of one head by what a run's presses taught, for frames like these presses."""
+"""Places of one head, learned from a run's presses, for frames like these presses."""
 
 from dataclasses import replace
 from typing import Final
@@ -11,7 +11,7 @@ from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.results.learned_place import LearnedPlace
 
-#: Of dᵀΣ⁻¹d that holds 68.27 % of a normal distribution over two axes.
+#: Value of dᵀΣ⁻¹d that holds 68.27 % of a normal distribution over two axes.
 _ONE_SIGMA: Final = -2 * np.log(1 - 0.6827)
 
 
@@ -32,7 +32,7 @@ class PressedPlace:
     Parameters
     ----------
     learned : place, of the readings of the rows (:func:`row_readings`).
-    merging : of the rows.
+    merging : (r, m) merging of readings into rows [1/V].
     """
 
     def __init__(self, learned: LearnedPlace, merging: Array) -> None:
@@ -41,26 +41,33 @@ class PressedPlace:
     def __call__(self, rows: Array, found: Matches, modelled: Matches, finder: TemplateFilter) -> Matches:
         """Matches of rows (n, r): at the learned place if the frame is like the presses, else those by the model.
 
-        A frame is not if it has no load, readings unlike those of one press (noisy, or of two heads), or a place
-        beyond the presses.
+        A frame is unlike them if it has no load, readings unlike those of one press (noisy, or of two heads), or a
+        place beyond the presses.
 
         Parameters
         ----------
-        found : by the templates of the model, with the noise of the rows alone.
-        modelled : the same with the scatter of the model's places.
+        found : matches by the templates of the model, with the noise of the rows alone.
+        modelled : the same matches with the scatter of the model's places.
         """
-        there = np.flatnonzero(found.gain >= finder.threshold**2)
-        places = self._locate(row_readings(rows[there], self._merging))
-        at = finder.match_at(rows[there], places.place_mm)
-        like: Mask = places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0) & np.isfinite(at.strength)
-        spread = self._locate.q68 / _ONE_SIGMA * places.covariance_mm2 + found.covariance[there, 1:, 1:]
+        detected_frames = np.flatnonzero(found.gain >= finder.threshold**2)
+        places = self._locate(row_readings(rows[detected_frames], self._merging))
+        learned_matches = finder.match_at(rows[detected_frames], places.place_mm)
+        like_mask: Mask = (
+            places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0) & np.isfinite(learned_matches.strength)
+        )
+        place_covariance = (
+            self._locate.q68 / _ONE_SIGMA * places.covariance_mm2 + found.covariance[detected_frames, 1:, 1:]
+        )
         # A head misplaced to where changes are larger seems weaker.
-        towards = np.empty((len(there), 3, 2))
-        towards[:, 0], towards[:, 1:] = -at.strength[:, None] * finder.size_slope(places.place_mm), np.eye(2)
-        covariance = at.covariance + towards @ spread @ towards.transpose(0, 2, 1)
-        better = {"place_mm": places.place_mm, "strength": at.strength, "covariance": covariance}
-        changed: dict[str, Array] = {}
-        for name, values in better.items():
-            changed[name] = getattr(modelled, name).copy()
-            changed[name][there[like]] = values[like]
-        return replace(modelled, **changed)
+        directions = np.empty((len(detected_frames), 3, 2))
+        directions[:, 0], directions[:, 1:] = (
+            -learned_matches.strength[:, None] * finder.size_slope(places.place_mm),
+            np.eye(2),
+        )
+        covariance = learned_matches.covariance + directions @ place_covariance @ directions.transpose(0, 2, 1)
+        learned_fields = {"place_mm": places.place_mm, "strength": learned_matches.strength, "covariance": covariance}
+        merged_fields: dict[str, Array] = {}
+        for name, values in learned_fields.items():
+            merged_fields[name] = getattr(modelled, name).copy()
+            merged_fields[name][detected_frames[like_mask]] = values[like_mask]
+        return replace(modelled, **merged_fields)

@@ -39,9 +39,9 @@ class PressureMap:
             )
         self._calibration = calibration
         self.mesh: Mesh = issued.reconstruction.problem.mesh
-        at = np.array(places)
+        locations = np.array(places)
         homogeneous = _Homogeneous(calibration)
-        scale = float(np.mean(at[:, 2] / homogeneous(at[:, :2])))
+        scale = float(np.mean(locations[:, 2] / homogeneous(locations[:, :2])))
         self.baseline_conductance: Array = scale * homogeneous(self.mesh.centroids_mm)
         self._line = issued.against_stress
 
@@ -72,19 +72,20 @@ class _Homogeneous:
 
     def __init__(self, calibration: Calibration) -> None:
         model = calibration.model
-        every = model.lattice.places_mm()[model.node.ravel() >= 0]
+        nodes_mm = model.lattice.places_mm()[model.node.ravel() >= 0]
         fitting = np.flatnonzero(model.fits & _every(_STRIDE, model))
-        if np.linalg.matrix_rank(every[fitting] - every[fitting].mean(axis=0)) < 2:  # a coarse lattice: use all of it
+        # Every node of a coarse lattice is used.
+        if np.linalg.matrix_rank(nodes_mm[fitting] - nodes_mm[fitting].mean(axis=0)) < 2:
             fitting = np.flatnonzero(model.fits)
-        places = every[fitting]
+        places = nodes_mm[fitting]
         values = _gains(calibration, fitting, places) * np.exp(model.log_response[fitting])
         self._between = LinearNDInterpolator(places, values)
         self._nearest = NearestNDInterpolator(places, values)
 
     def __call__(self, places_mm: Array) -> Array:
         """At places (n, 2); where no head fits, at the nearest place where one does."""
-        between: Array = self._between(places_mm)
-        return np.where(np.isfinite(between), between, self._nearest(places_mm))
+        interpolated: Array = self._between(places_mm)
+        return np.where(np.isfinite(interpolated), interpolated, self._nearest(places_mm))
 
 
 def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
@@ -97,8 +98,8 @@ def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
     images = changes @ issued.reconstruction.matrix.T
     gains = np.empty(len(nodes))
     for number, (x_mm, y_mm) in enumerate(places_mm.tolist()):
-        under = issued.indenter.footprint_at(x_mm, y_mm).contains(mesh.centroids_mm) * mesh.areas_mm2
-        gains[number] = float(images[number] @ under / under.sum()) if under.any() else np.nan
+        head_weight = issued.indenter.footprint_at(x_mm, y_mm).contains(mesh.centroids_mm) * mesh.areas_mm2
+        gains[number] = float(images[number] @ head_weight / head_weight.sum()) if head_weight.any() else np.nan
     typical = float(np.nanmedian(gains))
     # An image that is almost zero under a head cannot be corrected there.
     return np.where(gains > _FAINTEST * typical, gains, _FAINTEST * typical)
@@ -106,5 +107,5 @@ def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
 
 def _every(stride: int, model: ForceModel) -> Mask:
     rows, columns = np.nonzero(model.node >= 0)
-    chosen: Mask = (rows % stride == 0) & (columns % stride == 0)
-    return chosen
+    chosen_mask: Mask = (rows % stride == 0) & (columns % stride == 0)
+    return chosen_mask

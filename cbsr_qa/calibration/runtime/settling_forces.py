@@ -13,7 +13,7 @@ from cbsr_qa.calibration.runtime.tracking import ForceStream, LoadState, Tracked
 from cbsr_qa.domain.numbers import Array
 
 _RANGE: Final = int(Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE)
-#: Share of a force that may be still to come where the stream does not see the load as the frame does.
+#: Share of a force that may still be to come if the stream does not see the load that the frame shows.
 _UNKNOWN: Final = 0.3
 
 
@@ -22,7 +22,7 @@ class SettlingForces:
 
     Parameters
     ----------
-    calibration : of the sensor.
+    calibration : calibration of the sensor.
     """
 
     def __init__(self, calibration: HeadForces) -> None:
@@ -34,9 +34,9 @@ class SettlingForces:
 
         Parameters
         ----------
-        time_s : (n,), rising, later than those of earlier calls [s].
-        frames : (n, drives, measures) [V].
-        forces : of these frames, each by itself.
+        time_s : (n,) rising times, later than those of earlier calls [s].
+        frames : (n, drives, measures) voltages [V].
+        forces : forces of these frames, each estimated by itself.
 
         Returns
         -------
@@ -45,23 +45,23 @@ class SettlingForces:
         prediction; of a released load 0, with all that the frame shows as its error; without a kernel, or with
         several heads, that of the frame itself, with 30 % added to its error.
 
-        The error of a load held longer than the calibrated ones grows by what its kernel says it has crept since.
+        The error of a load held longer than the calibrated ones grows by the creep that its kernel predicts since.
 
         CalibrationError as for :meth:`ForceStream.update`.
         """
-        parts = [
+        corrections = [
             self._sum_loads(self._stream.update(time, frame), forces.part(slice(n, n + 1)), time)
             for n, (time, frame) in enumerate(zip(time_s.tolist(), frames, strict=True))
         ]
-        if not parts:
+        if not corrections:
             return forces, np.zeros(0)
-        force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*parts, strict=True))
+        force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*corrections, strict=True))
         return replace(forces, force_N=force, stderr_N=stderr, flags=flags), settled_in_s
 
     def add_frame(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
         """Force of the next frame (drives, measures) [V], and the time (1,) until it counts [s].
 
-        As :meth:`HeadForces.force`, corrected as by calling this object: the same whoever asks, to the last bit.
+        The force of :meth:`HeadForces.force`, corrected as a call of this object corrects it, to the last bit.
         """
         return self(np.array([time_s]), frame[None], self._calibration.force(frame, place_mm=place_mm))
 
@@ -72,10 +72,12 @@ class SettlingForces:
         force, stderr, flags = float(single.force_N[0]), float(single.stderr_N[0]), int(single.flags[0])
         if flags & (NO_FORCE | Flag.NOT_DETECTED) or not loads:
             return force, stderr, flags, 0.0
-        apart = np.array([np.hypot(*(load.place_mm - single.place_mm[0])) for load in loads])
-        pressing = [load for load, mm in zip(loads, apart, strict=True) if _presses(load) and mm < self._diameter_mm]
-        load = pressing[-1] if pressing else loads[int(apart.argmin())]
-        if len(pressing) > 1 or (flags & Flag.MORE_THAN_ONE and any(each.settled_in_s != 0 for each in loads)):
+        distance_mm = np.array([np.hypot(*(load.place_mm - single.place_mm[0])) for load in loads])
+        pressing = [
+            load for load, mm in zip(loads, distance_mm, strict=True) if _presses(load) and mm < self._diameter_mm
+        ]
+        load = pressing[-1] if pressing else loads[int(distance_mm.argmin())]
+        if len(pressing) > 1 or (flags & Flag.MORE_THAN_ONE and any(track.settled_in_s != 0 for track in loads)):
             return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, np.nan
         if load.settled_in_s != 0 and _presses(load) and self._calibration.model.loading is None:
             return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, load.settled_in_s

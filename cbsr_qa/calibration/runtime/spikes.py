@@ -15,17 +15,17 @@ class SpikeFilter:
 
     Parameters
     ----------
-    pattern : of the frames.
-    used : (drives, measures) bool with m True entries.
-    merging : (rows, m) of the force model, which gives the readings' noise.
+    pattern : drive pattern of the frames.
+    used : (drives, measures) mask of the used readings, with m True entries.
+    merging : (rows, m) merging of the force model, which gives the readings' noise.
     """
 
     def __init__(self, pattern: DrivePattern, used: Mask, merging: Array) -> None:
         pairs, sign = pattern.reciprocal_pairs()
-        both = used.ravel()[pairs].all(axis=1)
+        both_used = used.ravel()[pairs].all(axis=1)
         number = np.cumsum(used.ravel()) - 1
-        self._first, self._other = number[pairs[both]].T
-        self._sign = sign[both]
+        self._first, self._other = number[pairs[both_used]].T
+        self._sign = sign[both_used]
         noise = reading_noise(merging)
         self._noise = np.hypot(noise[self._first], noise[self._other])
 
@@ -34,18 +34,18 @@ class SpikeFilter:
 
         Frames with more than 5 % disagreeing pairs are unchanged, as these are not single spikes.
         """
-        first, other = changes[:, self._first], self._sign * changes[:, self._other]
-        apart = np.abs(first - other) / self._noise
-        far = apart > SPIKE_SIGMA
-        if not far.any():
+        direct, reciprocal = changes[:, self._first], self._sign * changes[:, self._other]
+        relative_difference = np.abs(direct - reciprocal) / self._noise
+        far_mask = relative_difference > SPIKE_SIGMA
+        if not far_mask.any():
             return np.zeros(len(changes), dtype=np.bool_)
-        unrest = np.maximum(_MAD_TO_SIGMA * np.median(apart, axis=1), 1.0)
-        larger = np.abs(first) > np.abs(other)
-        large, small = np.where(larger, first, other), np.where(larger, other, first)
-        spikes = (apart > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
-        spikes[spikes.mean(axis=1) > MOST_SPIKES] = False
-        frame, pair = np.nonzero(spikes)
+        unrest = np.maximum(_MAD_TO_SIGMA * np.median(relative_difference, axis=1), 1.0)
+        larger = np.abs(direct) > np.abs(reciprocal)
+        large, small = np.where(larger, direct, reciprocal), np.where(larger, reciprocal, direct)
+        spike_mask = (relative_difference > SPIKE_SIGMA * unrest[:, None]) & reciprocal_unchanged(large, small)
+        spike_mask[spike_mask.mean(axis=1) > MOST_SPIKES] = False
+        frame, pair = np.nonzero(spike_mask)
         changes[frame, self._first[pair]] = small[frame, pair]
         changes[frame, self._other[pair]] = self._sign[pair] * small[frame, pair]
-        found: Mask = spikes.any(axis=1)
-        return found
+        spiky_frames: Mask = spike_mask.any(axis=1)
+        return spiky_frames

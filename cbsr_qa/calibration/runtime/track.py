@@ -43,12 +43,12 @@ class UnsureHold:
 
     def predict(self, at_s: float) -> tuple[float, float]:
         """Strength at a time after the ramp's end, and its standard error."""
-        each = self._holds.predict(at_s=at_s)
-        log_weight = self._prior - each.misfit * each.spare / 2
+        predictions = self._holds.predict(at_s=at_s)
+        log_weight = self._prior - predictions.misfit * predictions.spare / 2
         weight = np.exp(log_weight - log_weight.max())
         weight /= weight.sum()
-        value = float(weight @ each.values)
-        variance = float(weight @ (each.stderr**2 + (each.values - value) ** 2))
+        value = float(weight @ predictions.values)
+        variance = float(weight @ (predictions.stderr**2 + (predictions.values - value) ** 2))
         return value, float(np.sqrt(variance))
 
 
@@ -63,8 +63,8 @@ _PARTIAL: Final = 0.75
 #: when it moves by so much since.
 _OFF: Final = 5.0
 _OFF_SHARE: Final = 0.05
-#: Not checked before this share of the slowest time constant, while place and trajectory are still being learned, nor
-#: accepted from a single frame.
+#: Share of the slowest time constant before which changes are not checked, since place and trajectory are still being
+#: learned; and number of successive frames that confirm a change.
 _EARLY: Final = 0.5
 _BELIEVED: Final = 2
 _MOVED: Final = 0.1
@@ -76,15 +76,15 @@ _SHARE_TOGETHER: Final = 0.025
 _STAYS: Final = 0.2
 #: Uncertainty of a decaying strength from frame to frame.
 _FADING_ERROR: Final = 0.1
-_FADING_NOISE: Final = 0.1  # of a single frame
+_FADING_NOISE: Final = 0.1  # relative to the noise of a single frame
 #: Share of a released change that may persist for minutes: an order of magnitude (paper 4.2).
 _RESIDUE: Final = 0.02
-#: Without a kernel: duration of a load's settling, and possible later change of its strength.
+#: Duration of a load's settling, and possible later change of its strength, without a kernel.
 _PATIENCE_S: Final = 60.0
 _UNKNOWN_CHANGE: Final = 0.3
 #: Released loads have faded after so many times the slowest constant; and times that are tried.
 _FADED: Final = 3.0
-#: What is left of a load shows in single frames until it is so many standard errors below the threshold of a load.
+#: Standard errors below the threshold of a load until which the residue of a load shows in single frames.
 _ROOM: Final = 2.0
 _STEPS: Final = 200
 #: Frames after which a place is no longer updated.
@@ -96,10 +96,10 @@ class Track:
 
     Parameters
     ----------
-    number, place_mm, template : its number, place, and change per strength there.
-    since_s : when it appeared.
-    base : earlier strength at its place.
-    sign : of the response.
+    number, place_mm, template : number of the load, its place (2,), and the change (r,) per strength there.
+    since_s : time when the load appeared.
+    base : strength at its place before it appeared.
+    sign : sign of the response.
     """
 
     def __init__(
@@ -125,7 +125,7 @@ class Track:
         self._released = 0.0
         self._first: tuple[float, float, float] | None = None
         self._hold: UnsureHold | None = None
-        self._promise: UnsureHold | None = None  # of all but the last frames
+        self._promise: UnsureHold | None = None  # hold of all but the last frames
         self._last: list[tuple[float, float, float]] = []
         self._changed: tuple[float, float] | None = None
         self._now_s = self._pressed_s = since_s
@@ -191,12 +191,12 @@ class Track:
         end_s = model.steady_s or _PATIENCE_S
         after_s = np.linspace(0.0, end_s, _STEPS)
         if changed_s is not None or model.loading is None:
-            tocome = _UNKNOWN_CHANGE * np.exp(-after_s / patience_s(model))
+            remaining_share = _UNKNOWN_CHANGE * np.exp(-after_s / patience_s(model))
         else:
-            at = kernel_at(model.loading, after_s)
-            tocome = np.abs(at / at[-1] - 1)
-        late = np.flatnonzero(tocome > share)
-        settled_s = after_s[min(int(late[-1]) + 1, _STEPS - 1)] if len(late) else 0.0
+            kernel_values = kernel_at(model.loading, after_s)
+            remaining_share = np.abs(kernel_values / kernel_values[-1] - 1)
+        unsettled_steps = np.flatnonzero(remaining_share > share)
+        settled_s = after_s[min(int(unsettled_steps[-1]) + 1, _STEPS - 1)] if len(unsettled_steps) else 0.0
         return max(float(since_s + settled_s - self._now_s), 0.0)
 
     def _time_to_fade_s(self, model: ForceModel) -> float:
@@ -207,26 +207,28 @@ class Track:
             return max(self.since_s + _PATIENCE_S - self._now_s, 0.0) or float("nan")
         after_s = np.linspace(0.0, _FADED * _slowest_s(model.unloading), _STEPS)
         held_s = self._now_s - self.since_s
-        left = _remaining_share(model.unloading, held_s + after_s)
-        faded = np.flatnonzero(abs(self.strength) * left <= least * left[0])
+        remaining = _remaining_share(model.unloading, held_s + after_s)
+        faded = np.flatnonzero(abs(self.strength) * remaining <= least * remaining[0])
         return float(after_s[faded[0]]) if len(faded) else float("nan")
 
     def steady(self, model: ForceModel) -> tuple[float, float]:
         """Strength after the calibrated hold, and its variance."""
-        own = self.strength - self.base_now
-        alone = 1 / float(np.linalg.norm(self.template))
-        base = (model.residue_stderr * model.residue_strength) ** 2 + (model.residue_share * alone) ** 2 / KEPT
+        load_strength = self.strength - self.base_now
+        single_stderr = 1 / float(np.linalg.norm(self.template))
+        base = (model.residue_stderr * model.residue_strength) ** 2 + (
+            model.residue_share * single_stderr
+        ) ** 2 / KEPT
         if (changed_s := self._find_change_s()) is not None:
-            change = _UNKNOWN_CHANGE * own * float(np.exp(-(self._now_s - changed_s) / patience_s(model)))
-            return own, self.noise**2 + change**2 + base
+            change = _UNKNOWN_CHANGE * load_strength * float(np.exp(-(self._now_s - changed_s) / patience_s(model)))
+            return load_strength, self.noise**2 + change**2 + base
         if self._hold is None or model.loading is None:
-            change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * own
-            return own, self.noise**2 + change**2 + base
+            change = 0.0 if self.state == "steady" else _UNKNOWN_CHANGE * load_strength
+            return load_strength, self.noise**2 + change**2 + base
         value, stderr = self._hold.predict(model.steady_s)
         return value, stderr**2 + base
 
     def _find_change_s(self) -> float | None:
-        """When the load itself changed; now where its last frame alone says so."""
+        """Time when the load itself changed; the present time if its last frame alone says so."""
         if self._changed is not None:
             return self._changed[0]
         return self._now_s if self._off else None
@@ -247,50 +249,52 @@ class Track:
 
     def _notice_change(self, time_s: float, model: ForceModel) -> None:
         """Detect that the load itself changed: its hold no longer predicts it, and only observed values count."""
-        own = self.strength - self.base_now
+        load_strength = self.strength - self.base_now
         if self._changed is not None:
-            if abs(own - self._changed[1]) > max(_MOVED * abs(own), _OFF * self.noise):
-                self._changed = (time_s, own)
+            if abs(load_strength - self._changed[1]) > max(_MOVED * abs(load_strength), _OFF * self.noise):
+                self._changed = (time_s, load_strength)
         elif self._hold is not None and model.loading is not None:
             held_s = max(time_s - self.since_s, 0.0)
             expected, stderr = self._hold.predict(held_s)
-            off = abs(own - expected) > max(_OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(own))
-            off |= self._off_together()
-            self._off = self._off + 1 if off and held_s > _EARLY * patience_s(model) else 0
+            is_off = abs(load_strength - expected) > max(
+                _OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(load_strength)
+            )
+            is_off |= self._off_together()
+            self._off = self._off + 1 if is_off and held_s > _EARLY * patience_s(model) else 0
             if self._off >= _BELIEVED:
-                self._changed = (time_s, own)
+                self._changed = (time_s, load_strength)
 
     def _off_together(self) -> bool:
         """Whether the last frames together deviate from the prediction of those before."""
         if self._promise is None or self._promise.frames < _LAST // 2:
             return False
-        held_s, own, noise = np.array(self._last).T
+        held_s, strengths, noise = np.array(self._last).T
         expected, stderr = self._promise.predict(float(held_s.mean()))
         error = float(np.hypot(stderr, np.sqrt((noise**2).sum()) / len(noise)))
-        off = abs(float(own.mean()) - expected)
-        return off > max(_OFF_TOGETHER * error, _SHARE_TOGETHER * abs(float(own.mean())))
+        deviation = abs(float(strengths.mean()) - expected)
+        return deviation > max(_OFF_TOGETHER * error, _SHARE_TOGETHER * abs(float(strengths.mean())))
 
     def _learn(self, time_s: float, frame_s: float, model: ForceModel) -> None:
         """Add a frame to the hold; the first waits for the second, which shows whether the head was still moving."""
         if model.loading is None:
             return
-        own = self.strength - self.base_now
+        load_strength = self.strength - self.base_now
         if self._hold is None and self._first is None:
-            self._first = (time_s, own, self.noise)
+            self._first = (time_s, load_strength, self.noise)
             self._hold = UnsureHold(model.loading, frame_s)
             self._add(*self._first)
             return
         if self._first is not None:
-            first, self._first = self._first, None
-            before, now = kernel_at(model.loading, np.array([first[0], time_s]) - self.since_s)
-            expected = float(before / now)
+            first_frame, self._first = self._first, None
+            kernel_before, kernel_now = kernel_at(model.loading, np.array([first_frame[0], time_s]) - self.since_s)
+            expected = float(kernel_before / kernel_now)
             self._hold, self._promise = UnsureHold(model.loading, frame_s), UnsureHold(model.loading, frame_s)
             self._last.clear()
-            if self.sign * first[1] < _PARTIAL * expected * self.sign * own:
-                self.since_s = max(first[0] + frame_s / 2, self.since_s)
+            if self.sign * first_frame[1] < _PARTIAL * expected * self.sign * load_strength:
+                self.since_s = max(first_frame[0] + frame_s / 2, self.since_s)
             else:
-                self._add(*first)
-        self._add(time_s, own, self.noise)
+                self._add(*first_frame)
+        self._add(time_s, load_strength, self.noise)
 
     def _add(self, time_s: float, own: float, noise: float) -> None:
         assert self._hold is not None
@@ -317,18 +321,18 @@ class Track:
         rate = 1.0
         if model.unloading is not None:
             held_s = time_s - self.since_s
-            left = float(_remaining_share(model.unloading, held_s))
-            rate = float(_remaining_share(model.unloading, held_s + since_last_s)) / left
-            stays = left + _STAYS
-            if self.sign * self.strength > max(stays * self._released, _CLEAR * self.noise) and held_s > 0:
+            remaining_share = float(_remaining_share(model.unloading, held_s))
+            rate = float(_remaining_share(model.unloading, held_s + since_last_s)) / remaining_share
+            largest_share = remaining_share + _STAYS
+            if self.sign * self.strength > max(largest_share * self._released, _CLEAR * self.noise) and held_s > 0:
                 self._lighten(time_s)
                 return
         self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))
-        alone = 1 / float(np.linalg.norm(self.template))
-        self.precision = 1 / (_FADING_ERROR * abs(self.strength) + _FADING_NOISE * alone) ** 2
-        fresh = time_s - self.since_s < (_FADED * _slowest_s(model.unloading) if model.unloading else _PATIENCE_S)
-        self.state = "unloading" if fresh else "residue"
-        self.unseen = 0 if abs(self.strength) > alone else self.unseen + 1
+        single_stderr = 1 / float(np.linalg.norm(self.template))
+        self.precision = 1 / (_FADING_ERROR * abs(self.strength) + _FADING_NOISE * single_stderr) ** 2
+        is_fresh = time_s - self.since_s < (_FADED * _slowest_s(model.unloading) if model.unloading else _PATIENCE_S)
+        self.state = "unloading" if is_fresh else "residue"
+        self.unseen = 0 if abs(self.strength) > single_stderr else self.unseen + 1
 
 
 def patience_s(model: ForceModel) -> float:
@@ -351,6 +355,6 @@ def _remaining_share(kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
 
 
 def _transient(weights: Array, kernel: RelaxationKernel, time_s: ArrayLike) -> Array:
-    late = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)
-    total: Array = np.sum(weights * np.exp(-late[..., None] / kernel.time_constants_s), axis=-1)
+    elapsed_s = np.maximum(np.asarray(time_s, dtype=np.float64), 0.0)
+    total: Array = np.sum(weights * np.exp(-elapsed_s[..., None] / kernel.time_constants_s), axis=-1)
     return total

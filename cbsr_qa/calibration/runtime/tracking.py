@@ -16,7 +16,7 @@ from cbsr_qa.calibration.runtime.track import KEPT, Track, patience_s
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 
-#: Frames in a row without a residue after which it is discarded.
+#: Number of frames in a row without a residue after which the residue is discarded.
 _FORGOTTEN: Final = 4
 #: Least share of the explained energy that indicates another load: moving heads, and residues without a track, leave
 #: more than the steady calibration loads.
@@ -38,15 +38,15 @@ class TrackedLoad:
 
     Parameters
     ----------
-    number : of the load since the stream began, from 1.
+    number : number of the load since the stream began, from 1.
     since_s : time of the press, or of the release once released.
     place_mm, place_stderr_mm : place, and its error, root mean square over two axes.
-    force_N, stderr_N : of a pressing load: its value after the calibrated hold. 0 ± 0 once released.
-    left_N : of a released load: the force equivalent to its residue; else 0. NaN, flagged OUTSIDE, at an impossible
+    force_N, stderr_N : force of a pressing load after the calibrated hold, and its error. 0 ± 0 once released.
+    left_N : force equivalent to the residue of a released load; else 0. NaN, flagged OUTSIDE, at an impossible
         place.
-    settled_in_s : until what is still to come of a press is less than the error of one frame, or until what is left
+    settled_in_s : time until what is still to come of a press is less than the error of one frame, or what is left
         of a released load no longer shows; 0 from then on. NaN for a residue that does not fade with the material.
-    flags : as :class:`~cbsr_qa.calibration.force.inverse.Flag`; UNSETTLED until then.
+    flags : values of :class:`~cbsr_qa.calibration.force.inverse.Flag`; UNSETTLED until then.
     """
 
     number: int
@@ -68,12 +68,12 @@ class ForceStream:
 
     Parameters
     ----------
-    calibration : of the sensor.
-    most : loads and residues tracked at once.
+    calibration : calibration of the sensor.
+    most : largest number of loads and residues tracked at once.
 
     Attributes
     ----------
-    flags : of the last frame as a whole; OFFSET in the frame in which all readings moved by one offset.
+    flags : flags of the last frame as a whole; OFFSET in the frame in which all readings moved by one offset.
     """
 
     def __init__(self, calibration: HeadForces, *, most: int = 12) -> None:
@@ -98,8 +98,8 @@ class ForceStream:
 
         Parameters
         ----------
-        time_s : of its middle, on any clock that advances.
-        frame : (drives, measures) [V].
+        time_s : time of the frame's middle, on any clock that advances [s].
+        frame : (drives, measures) voltages [V].
 
         Returns
         -------
@@ -133,8 +133,8 @@ class ForceStream:
 
     def _rows(self, usable: HeadForces, changes: Array) -> Array:
         """Rows (r,) of the usable readings of a frame, less an offset on all of them if there was one."""
-        (alike, before), self._before = self._before, (usable, changes)
-        jumped = alike is usable and bool(offset_between(usable.model, changes - before)[0])
+        (last_usable, last_changes), self._before = self._before, (usable, changes)
+        jumped = last_usable is usable and bool(offset_between(usable.model, changes - last_changes)[0])
         if jumped or not (self._moved or self._tracks or not usable.moved(changes)[0]):
             self.flags |= Flag.OFFSET
             self._moved = True
@@ -171,10 +171,10 @@ class ForceStream:
         return self._residual(rows)
 
     def _residual(self, rows: Array) -> Array:
-        left = rows.copy()
+        residual = rows.copy()
         for track in self._tracks:
-            left -= track.strength * track.template
-        return left
+            residual -= track.strength * track.template
+        return residual
 
     def _place_anew(self, rows: Array) -> Matches:
         """Move a load whose first frame, of a moving head, gave another place; return what is in the residual.
@@ -182,24 +182,24 @@ class ForceStream:
         Otherwise the residual of the wrong place would be a second load. It is moved only if no second load remains,
         so that two successive heads stay two.
         """
-        left = self._explain(rows)
-        remains = self._filter.search(left[None])
-        if not self._another(remains):
-            return remains
+        residual = self._explain(rows)
+        residual_match = self._filter.search(residual[None])
+        if not self._another(residual_match):
+            return residual_match
         for track in self._tracks:
             if not track.fresh:
                 continue
             place, template, strength = track.place_mm, track.template, track.strength
-            match = self._filter.search((left + strength * template)[None])
-            moved = self._filter.template(match.place_mm)[0]
-            if np.isfinite(moved).all():
-                track.move(match.place_mm[0], moved, self._base(moved))
-                other = self._filter.search(self._explain(rows)[None])
-                if not self._another(other):
-                    return other
+            match = self._filter.search((residual + strength * template)[None])
+            new_template = self._filter.template(match.place_mm)[0]
+            if np.isfinite(new_template).all():
+                track.move(match.place_mm[0], new_template, self._base(new_template))
+                next_match = self._filter.search(self._explain(rows)[None])
+                if not self._another(next_match):
+                    return next_match
                 track.move(place, template, self._base(template))
                 self._explain(rows)
-        return remains
+        return residual_match
 
     def _another(self, match: Matches) -> bool:
         """Whether the residual of a frame is more than noise, and more than a template's error."""
@@ -219,8 +219,8 @@ class ForceStream:
         if not self._another(match) or float(match.strength[0]) * sign < 0:
             return False
         pressing = [track for track in self._tracks if track.pressing]
-        near = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
-        if near < self._calibration.issued.indenter.radius_mm:
+        nearest_mm = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)
+        if nearest_mm < self._calibration.issued.indenter.radius_mm:
             return False
         template = self._filter.template(match.place_mm)[0]
         if not np.isfinite(template).all():
@@ -237,8 +237,8 @@ class ForceStream:
         for track in self._tracks:
             if not track.pressing:
                 continue
-            alone = self._residual(rows) + track.strength * track.template - track.base_now * track.template
-            match = self._filter.search(alone[None])
+            load_rows = self._residual(rows) + track.strength * track.template - track.base_now * track.template
+            match = self._filter.search(load_rows[None])
             if track.distance_mm(match.place_mm[0]) < self._calibration.issued.indenter.diameter_mm:
                 track.add_place(match.place_mm[0], match.covariance[0, 1:, 1:])
                 template = self._filter.template(track.place_mm[None])[0]
@@ -248,7 +248,7 @@ class ForceStream:
     def _report(self, track: Track, bad: Flag) -> TrackedLoad:
         pressing = track.pressing
         value, variance = track.steady(self._model) if pressing else (track.strength, track.noise**2)
-        match, alone = self._matches(track, value, (variance, track.noise**2))
+        match, noise_match = self._matches(track, value, (variance, track.noise**2))
         force, stderr = self._calibration.inverse.force(match)
         flags = bad
         if not np.isfinite(force[0]):
@@ -256,7 +256,7 @@ class ForceStream:
         if pressing:
             flags |= Flag(int(range_flags(force, stderr, match.place_mm, self._calibration.issued.validity)[0]))
         share = (
-            float(self._calibration.inverse.force(alone)[1][0] / abs(force[0]))
+            float(self._calibration.inverse.force(noise_match)[1][0] / abs(force[0]))
             if np.isfinite(force[0]) and force[0]
             else 1.0
         )

@@ -83,15 +83,17 @@ def predict_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[floa
 
 def location_baseline(location: str, x_mm: float, y_mm: float, loads: Sequence[LoadBaseline]) -> BaselineConductance:
     """Mean over the loads of one location, with the larger of their scatter and their own errors."""
-    known = [(load.value, load.stderr) for load in loads if load.value is not None and load.stderr is not None]
+    values_and_errors = [
+        (load.value, load.stderr) for load in loads if load.value is not None and load.stderr is not None
+    ]
     remarks = "; ".join(dict.fromkeys(load.why for load in loads if load.why))
-    if not known:
+    if not values_and_errors:
         return BaselineConductance(location, x_mm, y_mm, None, None, 0, remarks or "no load was pressed here")
-    values, errors = np.array(known).T
-    own = float(np.sqrt((errors**2).sum())) / len(values)
+    values, errors = np.array(values_and_errors).T
+    own_stderr = float(np.sqrt((errors**2).sum())) / len(values)
     scatter = float(values.std(ddof=1)) / np.sqrt(len(values)) if len(values) > 1 else 0.0
     return BaselineConductance(
-        location, x_mm, y_mm, float(values.mean()), max(own, float(scatter)), len(values), remarks
+        location, x_mm, y_mm, float(values.mean()), max(own_stderr, float(scatter)), len(values), remarks
     )
 
 
@@ -113,15 +115,16 @@ def baseline_conductance(
 def _predict_signed(against_stress: QuasiStatic, stress_kPa: float, response: Response) -> tuple[float, str]:
     """Predicted change in the direction of the response, and why it is unusable; empty if it is usable."""
     predicted, error = predict_change(against_stress, stress_kPa)
-    words = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
+    prediction = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
     if predicted == 0 or abs(predicted) < _CLEAR * error:
-        return 0.0, f"{words} is not clear of zero"
+        return 0.0, f"{prediction} is not clear of zero"
     signed = response.sign * predicted
     if signed < 0:
         expected, decided = ("less", "more") if predicted < 0 else ("more", "less")
         return (
             0.0,
-            f"{words} makes pressed places conduct {expected}; the response of this run is that they do {decided}",
+            f"{prediction} makes pressed places conduct {expected}; the response of this run is that they do"
+            f" {decided}",
         )
     return signed, ""
 

@@ -37,7 +37,7 @@ def sheet_gauge_factor(
     ----------
     places_mm, contrast, relative_variance, strain : (n, 2), (n,), (n,), (n,) of loads, contrast with the sign of α_ε.
     line : nominal α_ε and β_ε; only β_ε remains an assumption, and only for equal strains.
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
     sheet_mm : (m, 2) places to average over, see :func:`~cbsr_qa.calibration.sheet.response_map.sheet_places`.
 
     Raises
@@ -109,7 +109,7 @@ class Characteristic:
 
     Parameters
     ----------
-    location, x_mm, y_mm : of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
+    location, x_mm, y_mm : name and place of the loads; ``"mean"`` and the sheet's centre for a mean over locations.
     strain : (n,) float64 fractions, rising.
     stress_kPa : (n,) float64 mean relaxed stress under the head; None without recorded force.
     change : (n,) float64 mean sensed change, relative, positive.
@@ -159,9 +159,9 @@ def characteristics(loads: Iterable[LoadObservation], main_mask: float) -> tuple
     loads = tuple(load for load in loads if load.stress_kPa is not None) or loads
     places: dict[tuple[str, float, float], list[tuple[LoadObservation, float]]] = defaultdict(list)
     for load in loads:
-        change, wanted = load_change(load, main_mask), load.record.load
+        change, nominal = load_change(load, main_mask), load.record.load
         if change is not None:
-            places[(wanted.label, wanted.x_mm, wanted.y_mm)].append((load, change))
+            places[(nominal.label, nominal.x_mm, nominal.y_mm)].append((load, change))
     return tuple(_characteristic(place, members) for place, members in places.items())
 
 
@@ -174,18 +174,20 @@ def mean_characteristic(curves: Sequence[Characteristic]) -> Characteristic:
     NumericsError if there is no such location with a positive span.
     """
     fullest = max((curve.strain for curve in curves), key=len, default=np.empty(0))
-    alike = [c for c in curves if len(c.strain) == len(fullest) and np.allclose(c.strain, fullest) and c.span > 0]
-    if not alike:
+    common_curves = [
+        c for c in curves if len(c.strain) == len(fullest) and np.allclose(c.strain, fullest) and c.span > 0
+    ]
+    if not common_curves:
         raise NumericsError("nothing was sensed at any location")
-    stresses = [c.stress_kPa for c in alike if c.stress_kPa is not None]
+    stresses = [c.stress_kPa for c in common_curves if c.stress_kPa is not None]
     return Characteristic(
         "mean",
         0.0,
         0.0,
         fullest,
-        np.mean(stresses, axis=0) if len(stresses) == len(alike) else None,
-        np.mean([c.change / c.span for c in alike], axis=0),
-        np.sum([c.loads for c in alike], axis=0),
+        np.mean(stresses, axis=0) if len(stresses) == len(common_curves) else None,
+        np.mean([c.change / c.span for c in common_curves], axis=0),
+        np.sum([c.loads for c in common_curves], axis=0),
     )
 
 
@@ -199,18 +201,18 @@ def collect_repeated_changes(loads: Sequence[LoadObservation], main_mask: float)
     spans: dict[tuple[float, float], list[float]] = defaultdict(list)
     cells: dict[float, dict[tuple[str, float, float], list[float]]] = defaultdict(lambda: defaultdict(list))
     for load in loads:
-        change, wanted = load_change(load, main_mask), load.record.load
+        change, nominal_load = load_change(load, main_mask), load.record.load
         if change is None:
             continue
-        cells[round(wanted.strain, 9)][(load.phase, wanted.x_mm, wanted.y_mm)].append(change)
-        if round(wanted.strain, 9) == highest:
-            spans[(wanted.x_mm, wanted.y_mm)].append(change)
+        cells[round(nominal_load.strain, 9)][(load.phase, nominal_load.x_mm, nominal_load.y_mm)].append(change)
+        if round(nominal_load.strain, 9) == highest:
+            spans[(nominal_load.x_mm, nominal_load.y_mm)].append(change)
     mean = {place: float(np.mean(changes)) for place, changes in spans.items() if np.mean(changes) > 0}
     repeated = {
         strain: [
             [value / mean[place] for value in values]
-            for (_, *where), values in by_place.items()
-            if (place := (where[0], where[1])) in mean and len(values) > 1
+            for (_, *position), values in by_place.items()
+            if (place := (position[0], position[1])) in mean and len(values) > 1
         ]
         for strain, by_place in sorted(cells.items())
     }
@@ -231,13 +233,13 @@ def _characteristic(
 ) -> Characteristic:
     strain = np.array([round(load.record.load.strain, 9) for load, _ in members])
     change = np.array([value for _, value in members])
-    levels, which, counts = np.unique(strain, return_inverse=True, return_counts=True)
+    levels, level_index, counts = np.unique(strain, return_inverse=True, return_counts=True)
     stresses = [load.stress_kPa for load, _ in members]
-    known = [stress for stress in stresses if stress is not None]
+    known_stresses = [stress for stress in stresses if stress is not None]
     return Characteristic(
         *place,
         levels,
-        np.bincount(which, known) / counts if len(known) == len(stresses) else None,
-        np.bincount(which, change) / counts,
+        np.bincount(level_index, known_stresses) / counts if len(known_stresses) == len(stresses) else None,
+        np.bincount(level_index, change) / counts,
         counts.astype(np.int64),
     )

@@ -23,9 +23,9 @@ class PlaceResponse:
 
     Parameters
     ----------
-    location, x_mm, y_mm : of its loads.
-    baseline : ρ₀ of Eq 7, mean over the loads, relative image units.
-    responses : of each load, the same over the image of the linearised model of an even sheet there: 1 if the sheet
+    location, x_mm, y_mm : name and place of the loads.
+    baseline : ρ₀ of Eq 7, mean over the loads [relative image units].
+    responses : ρ₀ of each load over the image of the linearised model of an even sheet there: 1 if the sheet
         responds as that model with the material's α.
     """
 

@@ -31,12 +31,12 @@ _SCATTERS: Final = np.array([0.0, 0.005, 0.01, 0.02, 0.04])
 #: presses, and typical variation of moulded sheets. Chosen by us.
 _USUAL_SCATTER: Final = 0.02
 _USUAL_DEVIATION: Final = 0.2
-#: Members with less weight are dropped. There are many after few loads: at 1e-4 those dropped made stated errors 4 %
-#: too small with ten loads.
+#: Least weight of members that are kept. Members are many after few loads: at 1e-4 those dropped made stated errors
+#: 4 % too small with ten loads.
 _NEGLIGIBLE: Final = 1e-5
-#: Loads with a larger relative error of their amplitude do not determine its logarithm.
+#: Largest relative error of an amplitude that determines its logarithm.
 LARGEST_ERROR: Final = 0.3
-#: Keeps the covariance of noiseless loads at one place invertible.
+#: Variance that keeps the covariance of noiseless loads at one place invertible.
 _ROUNDING: Final = 1e-12
 #: An intercept is separable from the map if loads press so differently; prior error of an intercept.
 _SPREAD: Final = 2.0
@@ -71,8 +71,8 @@ class _Member:
 
     Parameters
     ----------
-    smooth : whether its covariance is Gaussian; else Matérn 5/2.
-    root_weight : (p,) as in the data.
+    smooth : True for a Gaussian covariance; False for Matérn 5/2.
+    root_weight : (p,) root of the weight of each place, the same as in the data.
     root : (p, p) Cholesky factor of one plus the process's covariance times the weights.
     data, drift : (p,), (p, k) data and columns of the mean, weighted and solved with ``root``.
     mean, mean_root : (k,) coefficients of the mean and the Cholesky factor (k, k) of their precision.
@@ -99,8 +99,9 @@ class _Family:
 
     Parameters
     ----------
-    scatter, root_weight : (s,), (s, p) as in the members.
-    root, solved, mean, mean_root : (d, s, ...) of the members, ``solved`` being ``drift`` and ``data`` side by side.
+    scatter, root_weight : (s,) scatters and (s, p) root weights of the members.
+    root, solved, mean, mean_root : (d, s, ...) matrices of the members, ``solved`` being ``drift`` and ``data`` side
+        by side.
     score : (d, s) logarithms of the members' weights: marginal likelihood times prior.
     """
 
@@ -116,8 +117,16 @@ class _Family:
 
     def member(self, d: int, s: int) -> _Member:
         solved = self.solved[d, s]
-        chosen = (self.smooth, self.length_mm, float(_DEVIATIONS[d]), float(self.scatter[s]), self.root_weight[s])
-        return _Member(*chosen, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s])
+        hyperparameters = (
+            self.smooth,
+            self.length_mm,
+            float(_DEVIATIONS[d]),
+            float(self.scatter[s]),
+            self.root_weight[s],
+        )
+        return _Member(
+            *hyperparameters, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s]
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,7 +135,7 @@ class ResponseMap:
 
     Parameters
     ----------
-    places_mm : (p, 2) of the loads, each once.
+    places_mm : (p, 2) places of the loads, each once.
     members, weights : the processes and their posterior weights, with sum one.
     """
 
@@ -157,9 +166,9 @@ class ResponseMap:
         if self.members[0].drift.shape[1] < 2:
             return 0.0, 0.0
         values = np.array([member.mean[1] for member in self.members])
-        own = np.array([_variances(member)[1] for member in self.members])
+        own_variances = np.array([_variances(member)[1] for member in self.members])
         mean = float(self.weights @ values)
-        return mean, float(self.weights @ (own + (values - mean) ** 2))
+        return mean, float(self.weights @ (own_variances + (values - mean) ** 2))
 
 
 def _predict(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
@@ -169,13 +178,13 @@ def _predict(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
         for name in ("deviation", "root_weight", "root", "data", "drift", "mean", "mean_root")
     )
     prior = deviation[:, None] ** 2
-    seen = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
-    left = -np.swapaxes(drift, 1, 2) @ seen
-    left[:, 0] += 1
-    pull = data - (drift @ mean[:, :, None])[..., 0]
-    means = mean[:, :1] + (pull[:, None] @ seen)[:, 0]
-    spread = np.linalg.solve(mean_root, left)
-    return means, prior - (seen**2).sum(axis=1) + (spread**2).sum(axis=1)
+    whitened_kernel = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
+    mean_residual = -np.swapaxes(drift, 1, 2) @ whitened_kernel
+    mean_residual[:, 0] += 1
+    centred_data = data - (drift @ mean[:, :, None])[..., 0]
+    means = mean[:, :1] + (centred_data[:, None] @ whitened_kernel)[:, 0]
+    spread = np.linalg.solve(mean_root, mean_residual)
+    return means, prior - (whitened_kernel**2).sum(axis=1) + (spread**2).sum(axis=1)
 
 
 def learn_response(
@@ -193,10 +202,10 @@ def learn_response(
 
     Parameters
     ----------
-    places_mm : (n, 2).
+    places_mm : (n, 2) places of the loads.
     log_response : (n,) logarithm of the observed change over that of the quasi-static line.
-    variance : (n,) of it, by the readings' and the force's noise.
-    radius_mm : of the sheet, the unit of the correlation lengths.
+    variance : (n,) variance of that logarithm, by the readings' and the force's noise.
+    radius_mm : radius of the sheet, the unit of the correlation lengths.
     bend : (n,) a column with an unknown multiple in the logarithm, the effect of a wrong intercept of the line; None
         without one.
     bend_stderr : prior standard deviation of that multiple.
@@ -212,11 +221,13 @@ def learn_response(
             remedy="leave the load out, or press it again",
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
-    known = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
+    prior_precision = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
     places, which = _places(places_mm)
     columns_and_values = np.column_stack([columns, log_response])
     data = {
-        float(scatter): _together(which, columns_and_values, variance + scatter**2 + _ROUNDING, np.diag(known))
+        float(scatter): _together(
+            which, columns_and_values, variance + scatter**2 + _ROUNDING, np.diag(prior_precision)
+        )
         for scatter in _SCATTERS
     }
     families = [
@@ -225,9 +236,9 @@ def learn_response(
     ]
     score = np.array([family.score for family in families])
     weights = np.exp(score - score.max())
-    kept = weights > _NEGLIGIBLE * weights.sum()
-    members = tuple(families[family].member(*which) for family, *which in np.argwhere(kept).tolist())
-    return ResponseMap(places, members, weights[kept] / weights[kept].sum())
+    kept_mask = weights > _NEGLIGIBLE * weights.sum()
+    members = tuple(families[family].member(*which) for family, *which in np.argwhere(kept_mask).tolist())
+    return ResponseMap(places, members, weights[kept_mask] / weights[kept_mask].sum())
 
 
 def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tuple[Array | None, float, float]:
@@ -254,11 +265,11 @@ def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
 
 def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     """Places (p, 2), each once in the order of the loads, and the index of each load's place (n,)."""
-    _, first, which = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
-    order = np.argsort(first)
+    _, first_loads, place_index = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
+    order = np.argsort(first_loads)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    return places_mm[first[order]], rank[which.ravel()]
+    return places_mm[first_loads[order]], rank[place_index.ravel()]
 
 
 def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: Array) -> _Data:
@@ -270,9 +281,11 @@ def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: A
     weight = 1 / variance
     total = np.bincount(which, weight)
     means = np.column_stack([np.bincount(which, weight * column) / total for column in columns.T])
-    left = (columns - means[which]) * np.sqrt(weight)[:, None]
+    residual = (columns - means[which]) * np.sqrt(weight)[:, None]
     root_weight = np.sqrt(total)
-    return _Data(root_weight, means * root_weight[:, None], left.T @ left, float(np.log(variance).sum()), known)
+    return _Data(
+        root_weight, means * root_weight[:, None], residual.T @ residual, float(np.log(variance).sum()), known
+    )
 
 
 def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: float) -> _Family:
@@ -284,8 +297,8 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
     # No eigenvalue below one: nearly coinciding places, and loads without noise, do no harm.
     root, solved = _solve(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
     products = np.swapaxes(solved, -1, -2) @ solved + np.array([group.within for group in data.values()])
-    known = next(iter(data.values())).known
-    mean_root = np.linalg.cholesky(products[..., :-1, :-1] + known)
+    prior_precision = next(iter(data.values())).known
+    mean_root = np.linalg.cholesky(products[..., :-1, :-1] + prior_precision)
     pull = np.linalg.solve(mean_root, products[..., :-1, -1:])
     mean = np.linalg.solve(np.swapaxes(mean_root, -1, -2), pull)[..., 0]
     misfit = products[..., -1, -1] - (pull**2).sum(axis=(-1, -2))
@@ -301,12 +314,12 @@ def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: flo
 def _solve(matrices: Array, right: Array) -> tuple[Array, Array]:
     """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k)."""
     p, k = right.shape[-2:]
-    whole = np.zeros((*matrices.shape[:-2], p + k, p + k))
-    whole[..., :p, :p] = matrices
-    whole[..., p:, :p] = np.swapaxes(right, -1, -2)
+    augmented = np.zeros((*matrices.shape[:-2], p + k, p + k))
+    augmented[..., :p, :p] = matrices
+    augmented[..., p:, :p] = np.swapaxes(right, -1, -2)
     below = np.arange(p, p + k)
-    whole[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
-    root = np.linalg.cholesky(whole)  # only the lower half is read
+    augmented[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
+    root = np.linalg.cholesky(augmented)  # only the lower half is read
     return root[..., :p, :p], np.swapaxes(root[..., p:, :p], -1, -2)
 
 
@@ -322,12 +335,12 @@ def _variances(member: _Member) -> Array:
 
 
 def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
-    apart = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
+    distance = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
     if smooth:
-        gaussian: Array = np.exp(-(apart**2) / 2)
+        gaussian: Array = np.exp(-(distance**2) / 2)
         return gaussian
-    far = np.sqrt(5) * apart
-    matern: Array = (1 + far + far**2 / 3) * np.exp(-far)
+    scaled_distance = np.sqrt(5) * distance
+    matern: Array = (1 + scaled_distance + scaled_distance**2 / 3) * np.exp(-scaled_distance)
     return matern
 
 
@@ -335,19 +348,21 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
     """Mean over places (n, 2) of the logarithm of the response, and its variance."""
     means, variances = [], []
     kinds = {(member.smooth, member.length_mm) for member in response.members}
-    between, among = (
-        {kind: _covariance(of, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
-        for of in (response.places_mm, places_mm)
+    cross_means, mutual_means = (
+        {kind: _covariance(places, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
+        for places in (response.places_mm, places_mm)
     )
     for member in response.members:
         kind = member.smooth, member.length_mm
-        seen = member.solve_kernel(member.deviation**2 * between[kind])[:, 0]
+        whitened_kernel = member.solve_kernel(member.deviation**2 * cross_means[kind])[:, 0]
         columns = np.zeros(member.drift.shape[1])
         columns[0] = 1
-        spread = solve_triangular(member.mean_root, columns - member.drift.T @ seen, lower=True)
-        means.append(float(columns @ member.mean + seen @ (member.data - member.drift @ member.mean)))
+        spread = solve_triangular(member.mean_root, columns - member.drift.T @ whitened_kernel, lower=True)
+        means.append(float(columns @ member.mean + whitened_kernel @ (member.data - member.drift @ member.mean)))
         variances.append(
-            member.deviation**2 * float(among[kind].mean()) - float(seen @ seen) + float(spread @ spread)
+            member.deviation**2 * float(mutual_means[kind].mean())
+            - float(whitened_kernel @ whitened_kernel)
+            + float(spread @ spread)
         )
     mean = float(response.weights @ np.array(means))
     variance = float(response.weights @ (np.array(variances) + (np.array(means) - mean) ** 2))
@@ -356,8 +371,8 @@ def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, fl
 
 def sheet_places(model: ForceModel, *, stride: int = 4) -> Array:
     """Every ``stride``-th place (n, 2) of the lattice, along both axes, with the head clear of edge and pins."""
-    kept = np.full(model.node.shape, -1)
-    kept[::stride, ::stride] = model.node[::stride, ::stride]
-    there = kept.ravel() >= 0
-    there[there] = model.fits[kept.ravel()[there]]
-    return model.lattice.places_mm()[there]
+    node = np.full(model.node.shape, -1)
+    node[::stride, ::stride] = model.node[::stride, ::stride]
+    chosen_mask = node.ravel() >= 0
+    chosen_mask[chosen_mask] = model.fits[node.ravel()[chosen_mask]]
+    return model.lattice.places_mm()[chosen_mask]

@@ -51,11 +51,11 @@ class Specimen:
     Parameters
     ----------
     strip : model with the assumed contacts.
-    other_contacts : the same with contacts one standard error higher.
-    resistance_ohm : between the pins, rested.
+    other_contacts : model with contacts one standard error higher.
+    resistance_ohm : resistance between the pins of the rested strip.
     relative_noise : rms of one reading over their mean, rested.
     declared : response by the sensor type.
-    source : of everything that follows, e.g. the run.
+    source : source of everything that follows, e.g. the run.
     """
 
     strip: StripModel
@@ -85,7 +85,7 @@ def characterise(
 
     Parameters
     ----------
-    readings : in order of time, the first one pressed on a rested strip.
+    readings : cycles in order of time, the first one pressed on a rested strip.
     notes : further problems of the readings, for ``reduced``.
     unread : missing cycles, by name and with the reason.
     """
@@ -99,8 +99,8 @@ def characterise(
     lines = work.lines(levels)
     modulus, offset, why_no_modulus = fit_modulus(work.cycles, specimen.source)
     loading, unloading, stress = work.kernels()
-    kept = [level.strain for level in levels if not level.why]
-    lowest = lowest_clear_strain(lines["local_against_strain"].line, kept)
+    used_strains = [level.strain for level in levels if not level.why]
+    lowest = lowest_clear_strain(lines["local_against_strain"].line, used_strains)
     material = Characterisation(
         settings=settings,
         strip=work.facts(),
@@ -165,25 +165,30 @@ class _Work:
         return tuple(dict.fromkeys(cycle.stress_why for cycle in self._readings if cycle.stress_why))
 
     def lines(self, levels: Sequence[StrainLevel]) -> dict[str, FittedLine]:
-        used = self._select_cycles(levels)
-        cycles = [self.cycles[k] for k in used]
-        plain = self._changes(self._separated)
-        moved = {
-            name: [self._changes(moved_to) for moved_to in sets] for name, sets in self._shift_parameters().items()
+        used_cycles = self._select_cycles(levels)
+        cycles = [self.cycles[k] for k in used_cycles]
+        changes = self._changes(self._separated)
+        shifted_changes = {
+            name: [self._changes(variant) for variant in sets] for name, sets in self._shift_parameters().items()
         }
         lines = {}
-        for name, values, error in (
+        for name, column, error in (
             ("local", 0, [c.local_stderr for c in cycles]),
             ("apparent", 1, [c.apparent_stderr for c in cycles]),
         ):
-            shifted = {of: [moved_to[values][used].tolist() for moved_to in sets] for of, sets in moved.items()}
+            shifted = {
+                cause: [variant[column][used_cycles].tolist() for variant in sets]
+                for cause, sets in shifted_changes.items()
+            }
             if name == "local":
-                shifted["contacts of the pins"] = [self._changes(self._separated, other=True)[0][used].tolist()]
-            for against in ("strain", "stress"):
-                key = f"local_against_{against}" if name == "local" else f"against_{against}"
-                place = attrgetter("strain" if against == "strain" else "stress_kPa")
+                shifted["contacts of the pins"] = [
+                    self._changes(self._separated, other=True)[0][used_cycles].tolist()
+                ]
+            for abscissa in ("strain", "stress"):
+                key = f"local_against_{abscissa}" if name == "local" else f"against_{abscissa}"
+                place = attrgetter("strain" if abscissa == "strain" else "stress_kPa")
                 source = self._specimen.source
-                lines[key] = fit_line(cycles, plain[values][used].tolist(), error, place, shifted, source)
+                lines[key] = fit_line(cycles, changes[column][used_cycles].tolist(), error, place, shifted, source)
         return lines
 
     def end_of_hold(self, levels: Sequence[StrainLevel]) -> tuple[FittedLine, FittedLine]:
@@ -220,8 +225,8 @@ class _Work:
         return StripFacts(specimen.resistance_ohm, specimen.relative_noise, strip.squares, share, strip.share)
 
     def _select_cycles(self, levels: Sequence[StrainLevel]) -> list[int]:
-        kept = {level.strain for level in levels if not level.why}
-        return [k for k, cycle in enumerate(self.cycles) if cycle.strain in kept]
+        used_strains = {level.strain for level in levels if not level.why}
+        return [k for k, cycle in enumerate(self.cycles) if cycle.strain in used_strains]
 
     def _values_before(self, of_steps: Array) -> Array:
         return np.concatenate([[0.0], of_steps[1::2]])[: len(self._readings)]
@@ -229,28 +234,34 @@ class _Work:
     def _changes(self, separated: SeparatedSteps, *, other: bool = False) -> tuple[Array, Array]:
         """Steady changes under the head and between the pins, and with other contacts if requested."""
         strip, levels = self._specimen.strip, separated.levels[0::2]
-        before = self._values_before(separated.levels)
-        after_pins, before_pins = strip.apparent(levels), strip.apparent(before)
+        levels_before = self._values_before(separated.levels)
+        after_pins, before_pins = strip.apparent(levels), strip.apparent(levels_before)
         if other:
-            levels, before = (self._specimen.other_contacts.local(changes) for changes in (after_pins, before_pins))
-        return levels - before, _relative(after_pins, before_pins)
+            levels, levels_before = (
+                self._specimen.other_contacts.local(changes) for changes in (after_pins, before_pins)
+            )
+        return levels - levels_before, _relative(after_pins, before_pins)
 
     def _shift_parameters(self) -> dict[str, list[SeparatedSteps]]:
         """The separated steps with shifted time constants and residue."""
-        common, local = self._separated.common, changes_of(self._separated, self._steps)
+        common_fits, local = self._separated.common, changes_of(self._separated, self._steps)
         steps = subtract_residue(self._steps, local, self.residue)
-        moved = {
-            "time constants": [separate_with_constants(steps, common, shifted) for shifted in shift_constants(common)]
+        shifted_steps = {
+            "time constants": [
+                separate_with_constants(steps, common_fits, shifted) for shifted in shift_constants(common_fits)
+            ]
         }
         if self.residue is not None:
-            fading = [subtract_residue(self._steps, local, shifted) for shifted in self.residue.shift_parameters()]
-            moved["slow residue"] = [
-                separate_with_constants(shifted, common, constants_of(common)) for shifted in fading
+            faded_steps = [
+                subtract_residue(self._steps, local, shifted) for shifted in self.residue.shift_parameters()
             ]
-        return moved
+            shifted_steps["slow residue"] = [
+                separate_with_constants(shifted, common_fits, constants_of(common_fits)) for shifted in faded_steps
+            ]
+        return shifted_steps
 
     def _split_directions(self, loading: bool) -> list[DirectedTrace]:
-        before = self._values_before(self._separated.levels)
+        levels_before = self._values_before(self._separated.levels)
         changes = changes_of(self._separated, self._steps)
         traces = []
         for k, cycle in enumerate(self._readings):
@@ -259,7 +270,7 @@ class _Work:
             ramp_s = cycle.press_ramp_s if loading else cycle.release_ramp_s
             size = float(changes[k]) if loading else -float(changes[k])
             amplitudes = self._separated.amplitudes[step]
-            traces.append(DirectedTrace(cycle.strain, (time_s, values - before[k]), size, amplitudes, ramp_s))
+            traces.append(DirectedTrace(cycle.strain, (time_s, values - levels_before[k]), size, amplitudes, ramp_s))
         return [cycle for cycle in traces if len(cycle.trace[0])]
 
     def _fit_stress(self) -> tuple[CommonRelaxation | None, list[tuple[Array, float] | None]]:

@@ -49,33 +49,33 @@ def _level(strain: float, members: Sequence[CycleChange]) -> StrainLevel:
 
 
 def _why_left_out(level: StrainLevel, members: Sequence[CycleChange]) -> str:
-    at = f"{100 * level.strain:g} % strain"
+    label = f"{100 * level.strain:g} % strain"
     if level.deviation > abs(level.mean):
         return (
-            f"{at}: the deviation over {level.cycles} cycles, {level.deviation:.2g}, exceeds the mean change of"
+            f"{label}: the deviation over {level.cycles} cycles, {level.deviation:.2g}, exceeds the mean change of"
             f" {level.mean:.2g}"
         )
-    against = [c for c in members if c.apparent * level.mean < 0 and abs(c.apparent) > CLEAR * c.apparent_stderr]
-    if against:
+    opposing = [c for c in members if c.apparent * level.mean < 0 and abs(c.apparent) > CLEAR * c.apparent_stderr]
+    if opposing:
         return (
-            f"{at}: {len(against)} of {level.cycles} cycles change the other way (cycle {against[0].cycle + 1} by"
-            f" {against[0].apparent:+.2g}, the mean is {level.mean:+.2g})"
+            f"{label}: {len(opposing)} of {level.cycles} cycles change the other way (cycle"
+            f" {opposing[0].cycle + 1} by {opposing[0].apparent:+.2g}, the mean is {level.mean:+.2g})"
         )
     return ""
 
 
 def decide_response(levels: Sequence[StrainLevel], declared: Response) -> tuple[Response, str]:
     """Return the material's response to a load, or AUTO if it is undetermined with the reason."""
-    kept = [level for level in levels if not level.why]
-    if not kept:
+    used_levels = [level for level in levels if not level.why]
+    if not used_levels:
         return Response.AUTO, "no strain changes the conductance clearly"
-    rising = [level for level in kept if level.mean > 0]
-    falling = [level for level in kept if level.mean <= 0]
+    rising = [level for level in used_levels if level.mean > 0]
+    falling = [level for level in used_levels if level.mean <= 0]
     if rising and falling:
-        first, other = rising[0], falling[0]
+        rising_level, falling_level = rising[0], falling[0]
         return Response.AUTO, (
-            f"strains disagree in sign: {100 * first.strain:g} % changes the conductance by {first.mean:+.2g},"
-            f" {100 * other.strain:g} % by {other.mean:+.2g}"
+            f"strains disagree in sign: {100 * rising_level.strain:g} % changes the conductance by"
+            f" {rising_level.mean:+.2g}, {100 * falling_level.strain:g} % by {falling_level.mean:+.2g}"
         )
     voted = Response.INCREASE if rising else Response.DECREASE
     if declared not in (Response.AUTO, voted):
@@ -95,18 +95,20 @@ def fit_line(
 
     Parameters
     ----------
-    cycles : those of strains not left out.
-    changes, errors : of each.
+    cycles : cycles of the strains that are not left out.
+    changes, errors : change of each cycle, and its standard error.
     place : abscissa of the line.
-    moved : see :data:`Moved`; each set moves the line, and its squares are added to the covariance.
-    source : of the parameters.
+    moved : shifted changes, see :data:`Moved`; each set moves the line, and its squares are added to the covariance.
+    source : source of the parameters.
     """
-    used = [k for k, cycle in enumerate(cycles) if place(cycle) is not None]
-    strains = [cycles[k].strain for k in used]
-    at = [float(place(cycles[k]) or 0.0) for k in used]
+    used_cycles = [k for k, cycle in enumerate(cycles) if place(cycle) is not None]
+    strains = [cycles[k].strain for k in used_cycles]
+    abscissae = [float(place(cycles[k]) or 0.0) for k in used_cycles]
 
     def fit(values: Sequence[float]) -> QuasiStaticFit:
-        return fit_quasi_static(strains, at, [values[k] for k in used], [errors[k] for k in used])
+        return fit_quasi_static(
+            strains, abscissae, [values[k] for k in used_cycles], [errors[k] for k in used_cycles]
+        )
 
     try:
         line = fit(changes)
@@ -114,9 +116,9 @@ def fit_line(
     except NumericsError as error:
         return FittedLine(None, why=f"{error.reason}; {error.remedy}".removesuffix("; "))
     covariance = line.covariance + sum((np.outer(d, d) for sets in shifts.values() for d in sets), np.zeros((2, 2)))
-    parts = [("scatter of the cycles", float(np.sqrt(line.covariance[0, 0])))]
-    parts += [(name, float(np.sqrt(sum(d[0] ** 2 for d in sets)))) for name, sets in shifts.items() if sets]
-    return FittedLine(_as_line(line, covariance, source), tuple(parts))
+    error_sources = [("scatter of the cycles", float(np.sqrt(line.covariance[0, 0])))]
+    error_sources += [(name, float(np.sqrt(sum(d[0] ** 2 for d in sets)))) for name, sets in shifts.items() if sets]
+    return FittedLine(_as_line(line, covariance, source), tuple(error_sources))
 
 
 def _shift(line: QuasiStaticFit, other: QuasiStaticFit) -> Array:
@@ -131,8 +133,8 @@ def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> f
     """Least of some strains at which α ε + β is three of its standard errors from zero, or None."""
     if line is None:
         return None
-    clear = [strain for strain in sorted(strains) if _is_clear(line, strain)]
-    return clear[0] if clear else None
+    clear_strains = [strain for strain in sorted(strains) if _is_clear(line, strain)]
+    return clear_strains[0] if clear_strains else None
 
 
 def _is_clear(line: QuasiStatic, strain: float) -> bool:
@@ -158,7 +160,7 @@ def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter |
 
 #: Data are taken after at least this many settling times (science, section 8).
 _MULTIPLE: Final = 1.5
-#: A larger share of a release that outlasts its rest is not a residue: the rests are too short to decide.
+#: Largest share of a release that outlasts its rest and is a residue: with more, rests are too short to decide.
 _MOST_RESIDUE: Final = 0.1
 
 
@@ -195,8 +197,8 @@ def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tup
     reasons = [f"left out: {level.why}" for level in material.levels if level.why]
     reasons += why_no_stress
     reasons += _short(material)
-    kept = [level.strain for level in material.levels if not level.why]
-    if material.lowest_strain is not None and material.lowest_strain > min(kept):
+    used_strains = [level.strain for level in material.levels if not level.why]
+    if material.lowest_strain is not None and material.lowest_strain > min(used_strains):
         reasons.append(
             f"α ε + β is clear of zero from {100 * material.lowest_strain:g} % strain on: below, it says nothing"
         )
@@ -205,13 +207,14 @@ def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tup
 
 def _short(material: Characterisation) -> Iterator[str]:
     """Holds and rests that end before levels are settled, and so are extrapolated by the fits."""
-    for each in material.settlings:
-        if each.strain is not None or each.settling.value_s is None or not len(each.time_s):
+    for relaxation in material.settlings:
+        if relaxation.strain is not None or relaxation.settling.value_s is None or not len(relaxation.time_s):
             continue
-        window_s, needed_s = float(each.time_s[-1]), _MULTIPLE * each.settling.value_s
-        if needed_s > window_s or each.settling.censored:
-            least = "at least " if each.settling.censored else ""
+        window_s, needed_s = float(relaxation.time_s[-1]), _MULTIPLE * relaxation.settling.value_s
+        if needed_s > window_s or relaxation.settling.censored:
+            least = "at least " if relaxation.settling.censored else ""
             yield (
-                f"{'holds' if each.loading else 'rests'} of {window_s:.3g} s are shorter than {_MULTIPLE:g} settling"
-                f" times of {each.signal} ({least}{each.settling.value_s:.3g} s): steady levels are extrapolated"
+                f"{'holds' if relaxation.loading else 'rests'} of {window_s:.3g} s are shorter than"
+                f" {_MULTIPLE:g} settling times of {relaxation.signal} ({least}{relaxation.settling.value_s:.3g} s):"
+                " steady levels are extrapolated"
             )

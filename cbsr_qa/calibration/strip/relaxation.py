@@ -31,10 +31,10 @@ class DirectedTrace:
 
     Parameters
     ----------
-    strain : of the cycle.
+    strain : strain of the cycle.
     trace : times from the end of the ramp, and values from the level before the press.
     step : steady change the step makes: of the press, or minus that for its release; for stress the steady value.
-    amplitudes : (k,) of the exponentials of its direction.
+    amplitudes : (k,) amplitudes of the exponentials of its direction.
     ramp_s : duration of the step.
     """
 
@@ -174,8 +174,9 @@ class KernelCurve:
 
     Parameters
     ----------
-    weights, time_constants_s : (k,), relative to the steady (or the released) change.
-    covariance : (2 k, 2 k) of (w, log τ).
+    weights, time_constants_s : (k,) weights and their time constants; weights are relative to the steady (or the
+        released) change.
+    covariance : (2 k, 2 k) covariance of (w, log τ).
     start_s, window_s : ends of the known time.
     level : c, the final value: 1 after a press, 0 after a release.
     """
@@ -207,8 +208,8 @@ class KernelCurve:
         after the release (Boltzmann superposition): with w, τ of the press and T the hold, the change at its end is N
         = 1 + Σ w e^(−T/τ) and the decay is (Σ w′ e^(−t/τ′) + Σ w e^(−(T + t)/τ)) / N.
         """
-        count, more = len(unloading.weights), len(loading.weights)
-        size = 2 * (count + more)
+        unloading_count, loading_count = len(unloading.weights), len(loading.weights)
+        size = 2 * (unloading_count + loading_count)
         values = np.concatenate(
             [
                 unloading.weights,
@@ -218,21 +219,30 @@ class KernelCurve:
             ]
         )
         covariance = np.zeros((size, size))
-        covariance[: 2 * count, : 2 * count] = unloading.covariance
-        covariance[2 * count :, 2 * count :] = loading.covariance
+        covariance[: 2 * unloading_count, : 2 * unloading_count] = unloading.covariance
+        covariance[2 * unloading_count :, 2 * unloading_count :] = loading.covariance
 
         def convert_release(of: Array) -> Array:
-            own, log_own, held, log_held = np.split(of, [count, 2 * count, 2 * count + more])
-            left = held * np.exp(-hold_s / np.exp(log_held))
-            return np.concatenate([own / (1 + left.sum()), left / (1 + left.sum()), log_own, log_held])
+            own_weights, log_own, held_weights, log_held = np.split(
+                of, [unloading_count, 2 * unloading_count, 2 * unloading_count + loading_count]
+            )
+            remaining_weights = held_weights * np.exp(-hold_s / np.exp(log_held))
+            return np.concatenate(
+                [
+                    own_weights / (1 + remaining_weights.sum()),
+                    remaining_weights / (1 + remaining_weights.sum()),
+                    log_own,
+                    log_held,
+                ]
+            )
 
         weights_and_logs, jacobian = (
             convert_release(values),
             _jacobian(convert_release, values, np.sqrt(np.diag(covariance))),
         )
         return cls(
-            weights_and_logs[: count + more],
-            np.exp(weights_and_logs[count + more :]),
+            weights_and_logs[: unloading_count + loading_count],
+            np.exp(weights_and_logs[unloading_count + loading_count :]),
             jacobian @ covariance @ jacobian.T,
             unloading.start_s,
             unloading.window_s,
@@ -245,10 +255,10 @@ class KernelCurve:
 
     def relative(self, time_s: Array) -> tuple[Array, Array]:
         """Return the curve and its variance, (n,) each."""
-        each = np.exp(-time_s[:, None] / self.time_constants_s)
-        gradient = np.column_stack([each, each * self.weights * time_s[:, None] / self.time_constants_s])
+        decays = np.exp(-time_s[:, None] / self.time_constants_s)
+        gradient = np.column_stack([decays, decays * self.weights * time_s[:, None] / self.time_constants_s])
         variance: Array = np.einsum("ti,ij,tj->t", gradient, self.covariance, gradient)
-        return self.level + each @ self.weights, np.maximum(variance, 0.0)
+        return self.level + decays @ self.weights, np.maximum(variance, 0.0)
 
     def settling_time(self, tolerance: float) -> tuple[float, float] | None:
         """Return the last time outside ± ``tolerance`` of the change, and its standard error [s]."""

@@ -29,8 +29,8 @@ class SlowResidue:
 
     Parameters
     ----------
-    share, decay_s : of the release, and τ.
-    covariance : (2, 2) of (share, log τ).
+    share, decay_s : share of the release that is left, and its τ.
+    covariance : (2, 2) covariance of (share, log τ).
     """
 
     share: float
@@ -49,8 +49,8 @@ class SlowResidue:
 
 def changes_of(separated: SeparatedSteps, steps: Sequence[StepTrace]) -> Array:
     """Steady change (presses,) from the final level of the rest before a press to that of its hold."""
-    before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
-    changes: Array = separated.levels[0::2] - before
+    levels_before = np.concatenate([[0.0], separated.levels[1::2]])[: len(steps[0::2])]
+    changes: Array = separated.levels[0::2] - levels_before
     return changes
 
 
@@ -58,8 +58,8 @@ def subtract_residue(steps: Sequence[StepTrace], changes: Array, residue: SlowRe
     """Subtract a residue of known changes from all steps."""
     if residue is None:
         return list(steps)
-    left = _unit_residues(steps, changes, residue.decay_s)
-    return [replace(step, values=step.values - residue.share * rest) for step, rest in zip(steps, left, strict=True)]
+    units = _unit_residues(steps, changes, residue.decay_s)
+    return [replace(step, values=step.values - residue.share * unit) for step, unit in zip(steps, units, strict=True)]
 
 
 def separate_with_residue(steps: Sequence[StepTrace]) -> tuple[SeparatedSteps, SlowResidue | None]:
@@ -89,8 +89,8 @@ def _residue(steps: Sequence[StepTrace], separated: SeparatedSteps, changes: Arr
     target = levels / errors
 
     def model(log_s: float) -> Array:
-        left = _unit_residues(steps, changes, float(np.exp(log_s)))
-        units = [replace(step, values=unit) for step, unit in zip(steps, left, strict=True)]
+        residues = _unit_residues(steps, changes, float(np.exp(log_s)))
+        units = [replace(step, values=unit) for step, unit in zip(steps, residues, strict=True)]
         return separate_with_constants(units, separated.common, constants_of(separated.common)).levels[1::2] / errors
 
     def misfit_at(log_s: float) -> float:
@@ -113,22 +113,24 @@ def _accept_residue(log_s: float, model: Callable[[float], Array], target: Array
     unit = model(log_s)
     share = float(unit @ target) / float(unit @ unit)
     slope = share * (model(log_s + 0.05) - model(log_s - 0.05)) / 0.1
-    spare = len(target) - 2
-    gain = (float(target @ target) - rest) / 2 / (rest / spare)
+    freedom = len(target) - 2
+    gain = (float(target @ target) - rest) / 2 / (rest / freedom)
     jacobian = np.column_stack([unit, slope])
-    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / spare, 1.0)
-    clear = share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fdtrc(2, spare, max(gain, 0.0)) <= _SIGNIFICANCE
-    return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if clear else None
+    covariance = np.linalg.pinv(jacobian.T @ jacobian) * max(rest / freedom, 1.0)
+    is_clear = (
+        share > _CLEAR * float(np.sqrt(covariance[0, 0])) and fdtrc(2, freedom, max(gain, 0.0)) <= _SIGNIFICANCE
+    )
+    return SlowResidue(share, float(np.exp(log_s)), np.asarray(covariance, dtype=np.float64)) if is_clear else None
 
 
 def _unit_residues(steps: Sequence[StepTrace], changes: Array, decay_s: float) -> list[Array]:
     """Residue of unit shares of all earlier releases at the samples of each step."""
     carried, before_s = 0.0, steps[0].start_s if steps else 0.0
-    left = []
+    residues = []
     for number, step in enumerate(steps):
         carried *= float(np.exp(-(step.start_s - before_s) / decay_s))
         before_s = step.start_s
         if not step.loading:
             carried += float(changes[number // 2])
-        left.append(carried * np.exp(-step.time_s / decay_s))
-    return left
+        residues.append(carried * np.exp(-step.time_s / decay_s))
+    return residues

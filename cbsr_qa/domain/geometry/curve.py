@@ -16,7 +16,7 @@ class ClosedCurve:
 
     Parameters
     ----------
-    start : (k, 2) where each piece begins.
+    start : (k, 2) start of each piece.
     heading : (k,) its direction there [rad].
     length : (k,) along it; the last piece ends where the first begins.
     curvature : (k,) one over its radius, positive where it turns left, 0 where it is straight; no piece turns by
@@ -40,8 +40,8 @@ class ClosedCurve:
     @property
     def area(self) -> float:
         """Area inside: of the polygon through the pieces' ends, and of the segments between arcs and chords."""
-        after = np.roll(self.start, -1, axis=0)
-        polygon = float((self.start[:, 0] * after[:, 1] - self.start[:, 1] * after[:, 0]).sum()) / 2
+        ends = np.roll(self.start, -1, axis=0)
+        polygon = float((self.start[:, 0] * ends[:, 1] - self.start[:, 1] * ends[:, 0]).sum()) / 2
         turn = self.curvature * self.length
         bent = self.curvature != 0
         segments = (turn[bent] - np.sin(turn[bent])) / (2 * self.curvature[bent] ** 2)
@@ -74,56 +74,56 @@ class ClosedCurve:
         distance : (n,) not below 0.
         """
         points = np.asarray(points, dtype=np.float64).reshape(-1, 2)
-        best, along = np.full(len(points), np.inf), np.zeros(len(points))
+        least_distance, along = np.full(len(points), np.inf), np.zeros(len(points))
         for piece, begin in enumerate(self.begins[:-1]):
             step = self._foot(piece, points)
             foot = self._on(np.full(len(points), piece), step)
             distance = np.hypot(*(points - foot).T)
-            nearer = distance < best
-            best[nearer], along[nearer] = distance[nearer], begin + step[nearer]
-        return along, best
+            nearer = distance < least_distance
+            least_distance[nearer], along[nearer] = distance[nearer], begin + step[nearer]
+        return along, least_distance
 
     def contains(self, points: Points) -> NDArray[np.bool_]:
         """Whether points lie inside, (n, 2) → (n,): an odd number of the polygon and the arcs' segments hold them."""
         x, y = np.asarray(points, dtype=np.float64).reshape(-1, 2).T
-        inside = np.zeros(len(x), dtype=np.bool_)
-        after = np.roll(self.start, -1, axis=0)
+        inside_mask = np.zeros(len(x), dtype=np.bool_)
+        piece_ends = np.roll(self.start, -1, axis=0)
         for (x0, y0), (x1, y1), curvature, heading in zip(
-            self.start, after, self.curvature, self.heading, strict=True
+            self.start, piece_ends, self.curvature, self.heading, strict=True
         ):
             rise, run = y1 - y0, x1 - x0
             side = run * (y - y0) - rise * (x - x0)  # positive left of the chord
             # A point exactly on a chord counts as slightly to its right in x, so both tests put it on one side.
-            right = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
-            inside ^= ((y0 > y) != (y1 > y)) & (right if rise < 0 else ~right)
+            right_mask = (side < 0) | ((side == 0) & (rise > 0 or (rise == 0 and run < 0)))
+            inside_mask ^= ((y0 > y) != (y1 > y)) & (right_mask if rise < 0 else ~right_mask)
             if curvature:
-                away = np.hypot(x - x0 + np.sin(heading) / curvature, y - y0 - np.cos(heading) / curvature)
-                inside ^= (away < 1 / abs(curvature)) & (right if curvature > 0 else ~right)
-        return inside
+                from_centre = np.hypot(x - x0 + np.sin(heading) / curvature, y - y0 - np.cos(heading) / curvature)
+                inside_mask ^= (from_centre < 1 / abs(curvature)) & (right_mask if curvature > 0 else ~right_mask)
+        return inside_mask
 
     def _on(self, piece: NDArray[np.int64], step: Array) -> Points:
-        half = self.curvature[piece] * step / 2
-        chord = step * np.sinc(half / np.pi)
-        direction = self.heading[piece] + half
+        half_turn = self.curvature[piece] * step / 2
+        chord = step * np.sinc(half_turn / np.pi)
+        direction = self.heading[piece] + half_turn
         on: Points = self.start[piece] + chord[:, None] * np.column_stack([np.cos(direction), np.sin(direction)])
         return on
 
     def _foot(self, piece: int, points: Points) -> Array:
         """Length along one piece, straight or bent, to its point nearest to each of some points: (n,)."""
         length, curvature, heading = self.length[piece], self.curvature[piece], self.heading[piece]
-        ahead = np.array([np.cos(heading), np.sin(heading)])
+        unit_heading = np.array([np.cos(heading), np.sin(heading)])
         if curvature == 0:
-            straight: Array = np.clip((points - self.start[piece]) @ ahead, 0, length)
+            straight: Array = np.clip((points - self.start[piece]) @ unit_heading, 0, length)
             return straight
-        centre = self.start[piece] + np.array([-ahead[1], ahead[0]]) / curvature
+        centre = self.start[piece] + np.array([-unit_heading[1], unit_heading[0]]) / curvature
         from_centre = points - centre
         begin = self.start[piece] - centre
         angle = np.arctan2(
             begin[0] * from_centre[:, 1] - begin[1] * from_centre[:, 0], from_centre @ begin
         ) * np.sign(curvature)
-        turned, whole = angle % (2 * np.pi), abs(curvature) * length
-        beyond = np.where(2 * np.pi - turned < turned - whole, 0.0, length)
-        return np.where(turned <= whole, turned / abs(curvature), beyond)
+        turned, whole_turn = angle % (2 * np.pi), abs(curvature) * length
+        beyond = np.where(2 * np.pi - turned < turned - whole_turn, 0.0, length)
+        return np.where(turned <= whole_turn, turned / abs(curvature), beyond)
 
 
 def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
@@ -132,7 +132,7 @@ def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
     Parameters
     ----------
     corners : (k, 2) counterclockwise.
-    radius : of every corner; 0 leaves them sharp. It must fit: see :func:`rounding_room`.
+    radius : radius of every corner; 0 leaves them sharp. It must fit: see :func:`rounding_room`.
     """
     edge = np.roll(corners, -1, axis=0) - corners
     heading: Array = np.arctan2(edge[:, 1], edge[:, 0])
@@ -141,20 +141,22 @@ def polygon_curve(corners: Points, radius: float = 0.0) -> ClosedCurve:
         return ClosedCurve(corners.copy(), heading, length, np.zeros(len(corners)))
     turn = corner_turns(corners)
     cut: Array = radius * np.tan(np.abs(turn) / 2)
-    ahead = np.column_stack([np.cos(heading), np.sin(heading)])
+    unit_heading = np.column_stack([np.cos(heading), np.sin(heading)])
     # Two pieces per corner: the straight stretch that leads to it, and its arc.
-    straight: Array = np.roll(length, 1) - cut - np.roll(cut, 1)
-    before: Array = np.roll(heading, 1)
-    leaves: Points = np.roll(corners, 1, axis=0) + np.roll(cut, 1)[:, None] * np.roll(ahead, 1, axis=0)
-    enters: Points = corners - cut[:, None] * np.roll(ahead, 1, axis=0)
+    straight_length: Array = np.roll(length, 1) - cut - np.roll(cut, 1)
+    heading_before: Array = np.roll(heading, 1)
+    leaves: Points = np.roll(corners, 1, axis=0) + np.roll(cut, 1)[:, None] * np.roll(unit_heading, 1, axis=0)
+    enters: Points = corners - cut[:, None] * np.roll(unit_heading, 1, axis=0)
     pieces = ClosedCurve(
         np.stack([leaves, enters], axis=1).reshape(-1, 2),
-        np.stack([before, before], axis=1).ravel(),
-        np.stack([straight, radius * np.abs(turn)], axis=1).ravel(),
+        np.stack([heading_before, heading_before], axis=1).ravel(),
+        np.stack([straight_length, radius * np.abs(turn)], axis=1).ravel(),
         np.stack([0 * turn, np.sign(turn) / radius], axis=1).ravel(),
     )
-    kept = pieces.length > 1e-9 * length.sum()
-    return ClosedCurve(pieces.start[kept], pieces.heading[kept], pieces.length[kept], pieces.curvature[kept])
+    kept_mask = pieces.length > 1e-9 * length.sum()
+    return ClosedCurve(
+        pieces.start[kept_mask], pieces.heading[kept_mask], pieces.length[kept_mask], pieces.curvature[kept_mask]
+    )
 
 
 def circle_curve(radius: float) -> ClosedCurve:
@@ -167,9 +169,9 @@ def circle_curve(radius: float) -> ClosedCurve:
 def corner_turns(corners: Points) -> Array:
     """Turning angle at each corner of a polygon, (k,) [rad], positive to the left."""
     edge = np.roll(corners, -1, axis=0) - corners
-    before = np.roll(edge, 1, axis=0)
-    cross = before[:, 0] * edge[:, 1] - before[:, 1] * edge[:, 0]
-    return np.asarray(np.arctan2(cross, (before * edge).sum(axis=1)), dtype=np.float64)
+    edge_before = np.roll(edge, 1, axis=0)
+    cross = edge_before[:, 0] * edge[:, 1] - edge_before[:, 1] * edge[:, 0]
+    return np.asarray(np.arctan2(cross, (edge_before * edge).sum(axis=1)), dtype=np.float64)
 
 
 def rounding_room(corners: Points) -> float:

@@ -22,7 +22,7 @@ from cbsr_qa.domain.geometry.polygons import (
     simple_polygon,
 )
 
-#: A circle of this many sides is round in print.
+#: Number of sides with which a circle is round in print.
 _SIDES = 72
 
 
@@ -106,8 +106,8 @@ class RoundFootprint:
 
     def contains(self, points: Points) -> NDArray[np.bool_]:
         """‖P − F‖ ≤ r."""
-        inside: NDArray[np.bool_] = np.hypot(*(points - np.array(self.centre_mm)).T) <= self.radius_mm
-        return inside
+        inside_mask: NDArray[np.bool_] = np.hypot(*(points - np.array(self.centre_mm)).T) <= self.radius_mm
+        return inside_mask
 
     def outline_mm(self) -> Points:
         angle = 2 * np.pi * np.arange(_SIDES) / _SIDES
@@ -171,15 +171,15 @@ def overlap_mm2(footprint: Footprint, corners_mm: Points) -> Values:
     -------
     (e,) float64 [mm²], not below 0.
     """
-    drawn = footprint.outline_mm()
+    drawn_outline_mm = footprint.outline_mm()
     # A drawn circle lies inside the true one.
-    margin = 0.01 * np.ptp(drawn, axis=0)
-    low, high = drawn.min(axis=0) - margin, drawn.max(axis=0) + margin
-    near = ((corners_mm.min(axis=1) <= high) & (corners_mm.max(axis=1) >= low)).all(axis=1)
+    margin = 0.01 * np.ptp(drawn_outline_mm, axis=0)
+    low, high = drawn_outline_mm.min(axis=0) - margin, drawn_outline_mm.max(axis=0) + margin
+    near_mask = ((corners_mm.min(axis=1) <= high) & (corners_mm.max(axis=1) >= low)).all(axis=1)
     # Far triangles cancel to rounding of their distance squared, not to zero.
     area = np.zeros(len(corners_mm))
-    start = corners_mm[near]
+    start = corners_mm[near_mask]
     end = np.roll(start, -1, axis=1)
     under = footprint.area_under_edges_mm2(start.reshape(-1, 2), end.reshape(-1, 2))
-    area[near] = np.maximum(under.reshape(-1, 3).sum(axis=1), 0.0)
+    area[near_mask] = np.maximum(under.reshape(-1, 3).sum(axis=1), 0.0)
     return area

@@ -15,13 +15,13 @@ from cbsr_qa.domain.numbers import Array
 
 Points = NDArray[np.float64]
 
-#: A sharper corner would need elements as thin as itself.
+#: Sharpest corner: a sharper one would need elements as thin as itself.
 SHARPEST_DEG: Final = 10.0
-#: Edges closer together than this, and edges shorter than a hundredth of it, in radii of the disc of equal area.
+#: Least distance of edges, in radii of the disc of equal area; corners within 1e-4 of it repeat each other.
 _NARROWEST: Final = 0.01
-#: Corners of an outline: the checks compare every edge with every other.
+#: Largest number of corners of an outline: the checks compare every edge with every other.
 MOST_CORNERS: Final = 1000
-#: Edges that are compared with all others at once.
+#: Number of edges that are compared with all others at once.
 _AT_ONCE: Final = 256
 
 
@@ -61,8 +61,9 @@ class Polygon:
 
     Parameters
     ----------
-    corners_mm : at least three, in either sense; they are kept counterclockwise, beginning with the first.
-    corner_radius_mm : with which every corner is rounded; 0 leaves them sharp.
+    corners_mm : corners [mm], at least three, in either sense; they are kept counterclockwise, beginning with the
+        first.
+    corner_radius_mm : radius with which every corner is rounded [mm]; 0 leaves them sharp.
 
     Raises
     ------
@@ -75,12 +76,12 @@ class Polygon:
     corner_radius_mm: float = 0.0
 
     def __post_init__(self) -> None:
-        wrong = next(polygon_problems(self.corners_mm), None)
-        if wrong is not None:
-            where = "" if wrong[0] is None else f"corner {wrong[0] + 1} of "
-            raise RefusedError(f"{where}the outline {wrong[1]}")
-        for what in rounding_problems(self.corners_mm, self.corner_radius_mm):
-            raise RefusedError(f"the outline's corner radius {what}")
+        problem = next(polygon_problems(self.corners_mm), None)
+        if problem is not None:
+            where = "" if problem[0] is None else f"corner {problem[0] + 1} of "
+            raise RefusedError(f"{where}the outline {problem[1]}")
+        for problem_words in rounding_problems(self.corners_mm, self.corner_radius_mm):
+            raise RefusedError(f"the outline's corner radius {problem_words}")
         corners = [(float(x), float(y)) for x, y in self.corners_mm]
         if shoelace_area(np.array(corners)) < 0:
             corners = corners[:1] + corners[:0:-1]
@@ -170,13 +171,13 @@ def rounding_problems(corners_mm: Sequence[Sequence[float]], corner_radius_mm: f
 def _repeats(corners: Points) -> Iterator[tuple[int, str]]:
     size = float(np.ptp(corners, axis=0).max())
     for index, corner in enumerate(corners):
-        same = np.flatnonzero(np.hypot(*(corners[:index] - corner).T) <= 1e-4 * _NARROWEST * size)
-        if same.size:
-            closing = index == len(corners) - 1 and same[0] == 0
+        same_corners = np.flatnonzero(np.hypot(*(corners[:index] - corner).T) <= 1e-4 * _NARROWEST * size)
+        if same_corners.size:
+            closing = index == len(corners) - 1 and same_corners[0] == 0
             remedy = (
                 "the last edge closes the outline by itself: leave the corner out" if closing else "leave one out"
             )
-            yield index, f"repeats corner {same[0] + 1}; {remedy}"
+            yield index, f"repeats corner {same_corners[0] + 1}; {remedy}"
 
 
 def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
@@ -185,9 +186,9 @@ def _shape_problems(corners: Points) -> Iterator[tuple[int | None, str]]:
     inside_deg = 180 - np.rad2deg(np.abs(corner_turns(corners)))
     for index in np.flatnonzero(inside_deg < SHARPEST_DEG):
         yield int(index), f"turns back to {inside_deg[index]:.3g}°; at least {SHARPEST_DEG:g}° are needed: cut it off"
-    near = _narrowest(corners)
-    if near is not None and near[0] < _NARROWEST * size:
-        width, first, second = near
+    narrowest = _narrowest(corners)
+    if narrowest is not None and narrowest[0] < _NARROWEST * size:
+        width, first, second = narrowest
         yield (
             None,
             (
@@ -205,10 +206,10 @@ def _crossing(corners: Points) -> tuple[int, int] | None:
         boxes_meet = ((low[rows, None] <= high) & (high[rows, None] >= low)).all(axis=-1)
         first, second = np.nonzero(boxes_meet)
         first += begin
-        apart = (second > first + 1) & ~((first == 0) & (second == len(corners) - 1))
-        met = _first_meeting(corners, first[apart], second[apart])
-        if met is not None:
-            return met
+        apart_mask = (second > first + 1) & ~((first == 0) & (second == len(corners) - 1))
+        meeting = _first_meeting(corners, first[apart_mask], second[apart_mask])
+        if meeting is not None:
+            return meeting
     return None
 
 
@@ -226,9 +227,9 @@ def _first_meeting(corners: Points, first: NDArray[np.int64], second: NDArray[np
 
 def _side(start: Points, end: Points, point: Points) -> NDArray[np.int64]:
     """1 where a point is left of a line, −1 right, 0 on it to rounding."""
-    along, off = end - start, point - start
-    cross = along[:, 0] * off[:, 1] - along[:, 1] * off[:, 0]
-    rounding = 1e-12 * np.hypot(*along.T) * (np.hypot(*along.T) + np.hypot(*off.T))
+    along, from_start = end - start, point - start
+    cross = along[:, 0] * from_start[:, 1] - along[:, 1] * from_start[:, 0]
+    rounding = 1e-12 * np.hypot(*along.T) * (np.hypot(*along.T) + np.hypot(*from_start.T))
     return np.where(np.abs(cross) <= rounding, 0, np.sign(cross)).astype(np.int64)
 
 
@@ -238,14 +239,14 @@ def _narrowest(corners: Points) -> tuple[float, int, int] | None:
     # Pairs of edges that share no corner.
     count = len(corners)
     first, second = np.triu_indices(count, 2)
-    kept = ~((first == 0) & (second == count - 1))
-    first, second = first[kept], second[kept]
+    apart_mask = ~((first == 0) & (second == count - 1))
+    first, second = first[apart_mask], second[apart_mask]
     if not first.size:
         return None
     a, b, c, d = corners[first], end[first], corners[second], end[second]
     distance = np.min([_to_edge(p, *e) for p, e in ((a, (c, d)), (b, (c, d)), (c, (a, b)), (d, (a, b)))], axis=0)
-    least = int(distance.argmin())
-    return float(distance[least]), int(first[least]), int(second[least])
+    narrowest = int(distance.argmin())
+    return float(distance[narrowest]), int(first[narrowest]), int(second[narrowest])
 
 
 def _to_edge(point: Points, start: Points, end: Points) -> Array:
@@ -263,19 +264,19 @@ def _curve(polygon: Polygon) -> ClosedCurve:
 @lru_cache(maxsize=64)
 def _centre(polygon: Polygon) -> tuple[float, float]:
     low_x, high_x, low_y, high_y = polygon.extent_mm
-    here, step = (
+    centre, step = (
         np.array([(low_x + high_x) / 2, (low_y + high_y) / 2]),
         np.array([high_x - low_x, high_y - low_y]) / 2,
     )
-    own = float(polygon.clearance_mm(np.zeros((1, 2)))[0])
+    origin_clearance = float(polygon.clearance_mm(np.zeros((1, 2)))[0])
     offsets = np.stack(np.meshgrid(np.linspace(-1, 1, 33), np.linspace(-1, 1, 33)), axis=-1).reshape(-1, 2)
     for _ in range(12):
-        places = here + offsets * step
+        places = centre + offsets * step
         clearance = polygon.clearance_mm(places)
         # Among places that are equally far from the edge the one nearest to the middle of the grid is taken.
         best = int(np.lexsort(((offsets**2).sum(axis=1).round(9), -clearance.round(9)))[0])
-        here, step, deepest = places[best], step / 4, float(clearance[best])
-    return (0.0, 0.0) if own >= deepest / 2 else (float(here[0]), float(here[1]))
+        centre, step, deepest = places[best], step / 4, float(clearance[best])
+    return (0.0, 0.0) if origin_clearance >= deepest / 2 else (float(centre[0]), float(centre[1]))
 
 
 def simplify_outline(outline: SheetOutline, tolerance_mm: float) -> SheetOutline:
@@ -296,21 +297,23 @@ def thin_ring(points: Points, tolerance: float) -> Points:
     """
     furthest = int(np.hypot(*(points - points[0]).T).argmax())
     closed = np.vstack([points, points[:1]])
-    kept = _select_points(closed, 0, furthest, tolerance) | _select_points(closed, furthest, len(points), tolerance)
-    return points[sorted(kept - {len(points)})]
+    kept_indices = _select_points(closed, 0, furthest, tolerance) | _select_points(
+        closed, furthest, len(points), tolerance
+    )
+    return points[sorted(kept_indices - {len(points)})]
 
 
 def _select_points(points: Points, first: int, last: int, tolerance: float) -> set[int]:
     """Indices of the points that a line from the first to the last needs, both included."""
-    kept, open_ = {first, last}, [(first, last)]
+    kept_indices, open_ = {first, last}, [(first, last)]
     while open_:
         begin, end = open_.pop()
         if end - begin < 2:
             continue
-        between = points[begin + 1 : end]
-        away = _to_edge(between, np.broadcast_to(points[begin], between.shape), points[end])
-        furthest = begin + 1 + int(away.argmax())
-        if away.max() > tolerance:
-            kept.add(furthest)
+        inner_points = points[begin + 1 : end]
+        distance = _to_edge(inner_points, np.broadcast_to(points[begin], inner_points.shape), points[end])
+        furthest = begin + 1 + int(distance.argmax())
+        if distance.max() > tolerance:
+            kept_indices.add(furthest)
             open_ += [(begin, furthest), (furthest, end)]
-    return kept
+    return kept_indices

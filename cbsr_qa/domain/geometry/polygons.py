@@ -27,7 +27,7 @@ def circle_overlap_mm2(corners_mm: Points, centre_mm: tuple[float, float], radiu
     Parameters
     ----------
     corners_mm : (e, 3, 2) float64 [mm], each triangle counterclockwise.
-    centre_mm, radius_mm : of the circle.
+    centre_mm, radius_mm : centre and radius of the circle [mm].
 
     Returns
     -------
@@ -53,15 +53,15 @@ def area_under_edges(start: Points, end: Points, radius: float) -> Array:
     length_squared = _dot(along, along)
     middle = -_dot(start, along) / length_squared
     # |start × along|² / |along|² is the squared distance of the line; this form keeps its digits near tangency.
-    across = _cross(start, along)
-    half = np.sqrt(np.maximum(radius**2 - across**2 / length_squared, 0.0) / length_squared)
-    first, last = np.clip(middle - half, 0.0, 1.0), np.clip(middle + half, 0.0, 1.0)
-    enters, leaves = start + first[..., None] * along, start + last[..., None] * along
+    cross_product = _cross(start, along)
+    half_chord = np.sqrt(np.maximum(radius**2 - cross_product**2 / length_squared, 0.0) / length_squared)
+    enter_share, leave_share = np.clip(middle - half_chord, 0.0, 1.0), np.clip(middle + half_chord, 0.0, 1.0)
+    enters, leaves = start + enter_share[..., None] * along, start + leave_share[..., None] * along
     # An end inside the circle has no sector; near the centre its direction would be rounding alone.
     # Along one line, cross products are shares of that of the edge: those of places that lie close would cancel.
-    before = np.where(first > 0, np.arctan2(first * across, _dot(start, enters)), 0.0)
-    after = np.where(last < 1, np.arctan2((1 - last) * across, _dot(leaves, end)), 0.0)
-    return (radius**2 * (before + after) + (last - first) * across) / 2
+    angle_before = np.where(enter_share > 0, np.arctan2(enter_share * cross_product, _dot(start, enters)), 0.0)
+    angle_after = np.where(leave_share < 1, np.arctan2((1 - leave_share) * cross_product, _dot(leaves, end)), 0.0)
+    return (radius**2 * (angle_before + angle_after) + (leave_share - enter_share) * cross_product) / 2
 
 
 def integrate_radius_deviation2(start: Points, end: Points, radius: float) -> Array:
@@ -74,20 +74,24 @@ def integrate_radius_deviation2(start: Points, end: Points, radius: float) -> Ar
     """
     along = end - start
     length = np.sqrt(_dot(along, along))
-    first, last = _dot(start, along) / length, _dot(end, along) / length
+    start_along, end_along = _dot(start, along) / length, _dot(end, along) / length
     height = np.abs(_cross(start, along)) / length
-    beside = np.where((first < 0) & (last > 0), 0.0, np.minimum(np.abs(first), np.abs(last)))
-    short = length <= np.hypot(height, beside)
+    along_distance = np.where(
+        (start_along < 0) & (end_along > 0), 0.0, np.minimum(np.abs(start_along), np.abs(end_along))
+    )
+    short = length <= np.hypot(height, along_distance)
     return np.where(
-        short, _deviation_at_points(start, along, length, radius), _deviation_primitive(first, last, height, radius)
+        short,
+        _deviation_at_points(start, along, length, radius),
+        _deviation_primitive(start_along, end_along, height, radius),
     )
 
 
 def _deviation_at_points(start: Points, along: Points, length: Values, radius: float) -> Values:
     points = start + _GAUSS_NODES[:, None, None] * along
     squared = _dot(points, points)
-    apart = (squared - radius**2) / (np.sqrt(squared) + radius)
-    integral: Values = length * (_GAUSS_WEIGHTS @ apart**2)
+    deviation = (squared - radius**2) / (np.sqrt(squared) + radius)
+    integral: Values = length * (_GAUSS_WEIGHTS @ deviation**2)
     return integral
 
 
@@ -108,7 +112,7 @@ def _cross(a: Points, b: Points) -> Array:
     return a[..., 0] * b[..., 1] - a[..., 1] * b[..., 0]
 
 
-#: Difference of a stretch's two Simpson's rules, of the polygon's area and of the whole edge's length, that is small.
+#: Largest difference of a stretch's two Simpson's rules, relative to the polygon's area and the whole edge's length.
 _TOLERANCE: Final = 1e-9
 _DEEPEST: Final = 48  # halvings; 2⁻⁴⁸ of an edge is rounding
 _QUARTERS: Final = np.linspace(0.0, 1.0, 5)[:, None, None]
@@ -116,7 +120,7 @@ _COARSE: Final = np.array([1, 0, 4, 0, 1]) / 6  # Simpson's rule of a stretch �
 _FINE: Final = np.array([1, 4, 2, 4, 1]) / 12  # … and of its halves
 
 
-#: The check compares every side with every other.
+#: Largest number of sides: the check compares every side with every other.
 _MOST_CORNERS: Final = 1000
 
 
@@ -143,10 +147,10 @@ def simple_polygon(corners_mm: Points) -> Points:
     if len(corners) > _MOST_CORNERS:
         raise NumericsError(f"an outline has {len(corners)} corners; at most {_MOST_CORNERS} are allowed")
     along = np.roll(corners, -1, axis=0) - corners
-    still = np.flatnonzero(~along.any(axis=1))
-    if still.size:
+    repeated = np.flatnonzero(~along.any(axis=1))
+    if repeated.size:
         raise NumericsError(
-            f"corner {still[0] + 1} of the outline is repeated",
+            f"corner {repeated[0] + 1} of the outline is repeated",
             remedy="leave it out: an outline is closed automatically",
         )
     crossed = _first_crossing(corners)
@@ -191,15 +195,15 @@ def area_under_edges_in_polygon(start: Points, end: Points, corners: Points) -> 
     floor = min(float(points[:, 1].min()) for points in (start, end, corners))
     edge_left, edge_right, edge_y, edge_slope, edge_sign = _strips(start, end)
     side_left, side_right, side_y, side_slope, side_sign = _strips(corners, np.roll(corners, -1, axis=0))
-    left = np.maximum(edge_left[:, None], side_left)
-    width = np.maximum(np.minimum(edge_right[:, None], side_right) - left, 0.0)
-    edge = (edge_y - edge_slope * edge_left)[:, None] + edge_slope[:, None] * left
-    side = (side_y - side_slope * side_left) + side_slope * left
-    above = edge - side
-    above_after = above + (edge_slope[:, None] - side_slope) * width
+    left_x = np.maximum(edge_left[:, None], side_left)
+    width = np.maximum(np.minimum(edge_right[:, None], side_right) - left_x, 0.0)
+    edge = (edge_y - edge_slope * edge_left)[:, None] + edge_slope[:, None] * left_x
+    side = (side_y - side_slope * side_left) + side_slope * left_x
+    height = edge - side
+    height_after = height + (edge_slope[:, None] - side_slope) * width
     # ∫ min(d, 0) of a linear d is −n²/2(|d₀| + |d₁|) times the width, n what of d₀ and d₁ is negative.
-    negative = np.minimum(above, 0.0) + np.minimum(above_after, 0.0)
-    spread = np.abs(above) + np.abs(above_after)
+    negative = np.minimum(height, 0.0) + np.minimum(height_after, 0.0)
+    spread = np.abs(height) + np.abs(height_after)
     cut = negative**2 / (2 * np.where(spread > 0, spread, 1.0))
     common = width * (side + side_slope * width / 2 - floor - cut)
     area: Values = edge_sign * (common @ side_sign)
@@ -220,23 +224,28 @@ def integrate_distance2(start: Points, end: Points, corners: Points) -> Values:
     stretch, side = np.repeat(owner, sides), np.tile(np.arange(sides), len(owner))
     for depth in range(_DEEPEST):
         length = np.hypot(*(end - start).T)
-        away = _distance_to_sides((start + end)[stretch] / 2, side, corners)
-        nearest = np.minimum.reduceat(away, np.searchsorted(stretch, np.arange(len(owner))))
-        near = away <= (nearest + length)[stretch]
-        stretch, side = stretch[near], side[near]
+        distance = _distance_to_sides((start + end)[stretch] / 2, side, corners)
+        nearest = np.minimum.reduceat(distance, np.searchsorted(stretch, np.arange(len(owner))))
+        near_mask = distance <= (nearest + length)[stretch]
+        stretch, side = stretch[near_mask], side[near_mask]
         points = start + _QUARTERS * (end - start)
-        away = _distance_to_sides(points[:, stretch], side, corners)
-        squared = np.minimum.reduceat(away, np.searchsorted(stretch, np.arange(len(owner))), axis=1) ** 2
+        distance = _distance_to_sides(points[:, stretch], side, corners)
+        squared = np.minimum.reduceat(distance, np.searchsorted(stretch, np.arange(len(owner))), axis=1) ** 2
         fine = _FINE @ squared
-        wrong = np.abs(fine - _COARSE @ squared) > tolerance * 2.0**depth
-        done = ~wrong if depth < _DEEPEST - 1 else np.ones_like(wrong)
-        np.add.at(integral, owner[done], (length * fine)[done])
-        if done.all():
+        inexact_mask = np.abs(fine - _COARSE @ squared) > tolerance * 2.0**depth
+        done_mask = ~inexact_mask if depth < _DEEPEST - 1 else np.ones_like(inexact_mask)
+        np.add.at(integral, owner[done_mask], (length * fine)[done_mask])
+        if done_mask.all():
             break
-        start, end = np.concatenate([start[wrong], points[2, wrong]]), np.concatenate([points[2, wrong], end[wrong]])
-        number, kept = np.cumsum(wrong) - 1, wrong[stretch]
-        stretch = np.concatenate([number[stretch[kept]], number[stretch[kept]] + int(wrong.sum())])
-        owner, side = np.tile(owner[wrong], 2), np.tile(side[kept], 2)
+        start, end = (
+            np.concatenate([start[inexact_mask], points[2, inexact_mask]]),
+            np.concatenate([points[2, inexact_mask], end[inexact_mask]]),
+        )
+        number, inexact_stretch_mask = np.cumsum(inexact_mask) - 1, inexact_mask[stretch]
+        stretch = np.concatenate(
+            [number[stretch[inexact_stretch_mask]], number[stretch[inexact_stretch_mask]] + int(inexact_mask.sum())]
+        )
+        owner, side = np.tile(owner[inexact_mask], 2), np.tile(side[inexact_stretch_mask], 2)
     return integral
 
 
@@ -250,16 +259,16 @@ def _distance_to_sides(points: Points, side: NDArray[np.int64], corners: Points)
     """Distance of points (…, 2) from sides (…,) of a polygon, one side each."""
     start = corners[side]
     along = corners[(side + 1) % len(corners)] - start
-    away = points - start
-    share = np.clip(_dot(away, along) / _dot(along, along), 0.0, 1.0)
-    off = away - share[..., None] * along
-    return np.sqrt(_dot(off, off))
+    from_start = points - start
+    share = np.clip(_dot(from_start, along) / _dot(along, along), 0.0, 1.0)
+    perpendicular = from_start - share[..., None] * along
+    return np.sqrt(_dot(perpendicular, perpendicular))
 
 
 def inside_polygon(points: Points, corners: Points) -> NDArray[np.bool_]:
     """Whether points lie inside a polygon: (n, 2) → (n,).
 
-    On the outline it is either, so that polygons side by side share out their points.
+    A point on the outline may be inside or outside, so that it belongs to one of two adjacent polygons.
     """
     return inside_edges(points, corners, np.roll(corners, -1, axis=0))
 
@@ -274,35 +283,45 @@ def inside_edges(points: Points, start: Points, end: Points) -> NDArray[np.bool_
     x, y = points[:, :1], points[:, 1:]
     spans = (start[:, 1] > y) != (end[:, 1] > y)
     rise = end[:, 1] - start[:, 1]
-    at = start[:, 0] + (y - start[:, 1]) / np.where(rise == 0, 1.0, rise) * (end[:, 0] - start[:, 0])
-    inside: NDArray[np.bool_] = (spans & (x < at)).sum(axis=1) % 2 == 1
-    return inside
+    crossing_x = start[:, 0] + (y - start[:, 1]) / np.where(rise == 0, 1.0, rise) * (end[:, 0] - start[:, 0])
+    inside_mask: NDArray[np.bool_] = (spans & (x < crossing_x)).sum(axis=1) % 2 == 1
+    return inside_mask
 
 
 def _strips(start: Points, end: Points) -> tuple[Values, Values, Values, Values, Values]:
     """Left and right x of edges, y at the left, slope, and −1 where they run to the right: a lower side."""
-    forward = end[:, 0] > start[:, 0]
-    first, last = np.where(forward[:, None], start, end), np.where(forward[:, None], end, start)
-    across, rise = last[:, 0] - first[:, 0], last[:, 1] - first[:, 1]
+    forward_mask = end[:, 0] > start[:, 0]
+    left_end, right_end = np.where(forward_mask[:, None], start, end), np.where(forward_mask[:, None], end, start)
+    across, rise = right_end[:, 0] - left_end[:, 0], right_end[:, 1] - left_end[:, 1]
     # An upright edge has no strip; its slope may be anything.
-    steep = across <= np.finfo(np.float64).eps * np.abs(rise)
-    slope = np.where(steep, 0.0, rise / np.where(steep, 1.0, across))
-    return first[:, 0], np.where(steep, first[:, 0], last[:, 0]), first[:, 1], slope, np.where(forward, -1.0, 1.0)
+    steep_mask = across <= np.finfo(np.float64).eps * np.abs(rise)
+    slope = np.where(steep_mask, 0.0, rise / np.where(steep_mask, 1.0, across))
+    return (
+        left_end[:, 0],
+        np.where(steep_mask, left_end[:, 0], right_end[:, 0]),
+        left_end[:, 1],
+        slope,
+        np.where(forward_mask, -1.0, 1.0),
+    )
 
 
 def _first_crossing(corners: Points) -> tuple[int, int] | None:
     """First pair of sides that meet elsewhere than in the corner they share; None for a simple polygon."""
     end = np.roll(corners, -1, axis=0)
     count = len(corners)
-    one, other = np.triu_indices(count, 1)
-    follows = (other == one + 1) | ((one == 0) & (other == count - 1))
-    a, b, c, d = corners[one], end[one], corners[other], end[other]
+    first_edge, second_edge = np.triu_indices(count, 1)
+    follows_mask = (second_edge == first_edge + 1) | ((first_edge == 0) & (second_edge == count - 1))
+    a, b, c, d = corners[first_edge], end[first_edge], corners[second_edge], end[second_edge]
     turns = [np.sign(_cross(q - p, r - p)) for p, q, r in ((a, b, c), (a, b, d), (c, d, a), (c, d, b))]
     crosses = (turns[0] * turns[1] < 0) & (turns[2] * turns[3] < 0)
     touches = np.zeros_like(crosses)
     for turn, p, q, r in zip(turns, (a, a, c, c), (b, b, d, d), (c, d, a, b), strict=True):
         touches |= (turn == 0) & (_dot(r - p, r - q) <= 0)
     # Neighbours share one corner; they meet elsewhere only where the second turns back on the first.
-    back = follows & (turns[1] == 0) & (turns[0] == 0) & (_dot(b - a, d - c) < 0)
-    found = np.flatnonzero((~follows & (crosses | touches)) | back)
-    return (int(one[found[0]]), int(other[found[0]])) if found.size else None
+    turns_back = follows_mask & (turns[1] == 0) & (turns[0] == 0) & (_dot(b - a, d - c) < 0)
+    crossing_indices = np.flatnonzero((~follows_mask & (crosses | touches)) | turns_back)
+    return (
+        (int(first_edge[crossing_indices[0]]), int(second_edge[crossing_indices[0]]))
+        if crossing_indices.size
+        else None
+    )

@@ -1,4 +1,4 @@
-"""What a recipe says about how a run is evaluated."""
+"""Settings of a recipe for the evaluation of a run."""
 
 from dataclasses import dataclass
 
@@ -16,7 +16,7 @@ class AnalysisSettings:
     noise_floor_frames : unloaded frames for the noise floor (the paper's first eight).
     reference : ``"run"`` (mean of the rested frames without the noise-floor ones) or ``"load"`` (before each press).
     reference_frames : frames before each press that ``"load"`` averages.
-    steady_frames : at most this many frames at the end of a hold make the steady image.
+    steady_frames : largest number of frames at the end of a hold that make the steady image.
     settling_multiple : a hold is settled from this multiple of the settling time on.
     settling_tolerance : half width of the settling band.
     settling_band : ``"steady"`` (of the steady change) or ``"step"`` (of the relaxing part).
@@ -25,10 +25,11 @@ class AnalysisSettings:
     size_ratio : lowest and highest A_b/A_FA for which a band counts.
     clipping : ``"exact"`` or ``"centroid"``.
     perimeter : ``"length"`` or ``"nodes"``.
-    outline : of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the paper's).
+    outline : outline of a sensed region: ``"contour"`` (inside the elements) or ``"elements"`` (whole ones, the
+        paper's).
     noise_weighting : ``"equal"`` (all readings count alike) or ``"measured"`` (by their noise when unloaded).
     calibrate_phases : names of the phases whose loads calibrate; those of others test the calibration.
-    transients : of short holds, for the force model: ``"averaged"`` (their last frames as measured) or
+    transients : treatment of short holds for the force model: ``"averaged"`` (their last frames as measured) or
         ``"predicted"`` (extrapolated to the end of the run's longest holds).
     learn_place : whether place is learned from the loads that calibrate, and used if that pays.
     """
@@ -62,8 +63,9 @@ class CharacterisationSettings:
     ----------
     contact_length_mm, contact_length_stderr_mm : contact impedance of the pins over the sheet resistance, which two
         pins cannot measure, and its standard error.
-    settling_tolerance, settling_band : as in :class:`~cbsr_qa.domain.plan.analysis_settings.AnalysisSettings`.
-    end_s : what counts as the end of a hold or a rest, where levels are taken as they were read [s].
+    settling_tolerance, settling_band : tolerance and band as in
+        :class:`~cbsr_qa.domain.plan.analysis_settings.AnalysisSettings`.
+    end_s : length of the end of a hold or a rest, in which levels are taken as they were read [s].
     """
 
     contact_length_mm: float = 0.2

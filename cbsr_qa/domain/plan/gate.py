@@ -7,7 +7,7 @@ from typing import Final
 
 
 class GateCheck(StrEnum):
-    """What is asked before a run, in the order of the answers."""
+    """Checks before a run, in the order of the answers."""
 
     SERIAL_PATTERN = "serial_pattern"  #: the serial number fits the pattern of the sensor type
     RETEST = "retest"  #: the sensor has not passed this recipe yet, or may be tested again
@@ -22,7 +22,7 @@ class GateCheck(StrEnum):
 
 
 class GatePolicy(StrEnum):
-    """What follows from a check that does not pass."""
+    """Consequence of a check that does not pass."""
 
     REFUSE = "refuse"
     WARN = "warn"
@@ -51,12 +51,12 @@ class GateSettings:
 
     Parameters
     ----------
-    policies : of checks; those left out have :data:`GATE_DEFAULTS`.
+    policies : policies of checks; those left out have :data:`GATE_DEFAULTS`.
     retest_runs : most finished runs of a sensor and recipe; None for any number until one passes.
     golden_hours, golden_runs : longest time [h] and most runs since the golden sensor; None for no such limit.
     disk_GB : least free space [10⁹ bytes]; None for an estimate from the plan of the run.
-    operators : who may run the station.
-    before_run_s : how long a plugin may take to answer [s].
+    operators : operators who may run the station.
+    before_run_s : time a plugin may take to answer [s].
     """
 
     policies: Mapping[GateCheck, GatePolicy] = field(default_factory=dict)

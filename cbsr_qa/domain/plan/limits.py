@@ -22,7 +22,7 @@ class Outcome(StrEnum):
         return {Outcome.FAIL: 1, Outcome.NOT_MEASURED: 3}.get(self, 0)
 
 
-#: From worst to best: the overall outcome is the worst one met.
+#: Outcomes from worst to best: the overall outcome is the worst one met.
 SEVERITY: tuple[Outcome, ...] = (
     Outcome.FAIL,
     Outcome.NOT_MEASURED,
@@ -56,7 +56,7 @@ class Limit:
     marginal : width of the guard band inside each bound, in the same unit; a value in it passes marginally.
     phase : judges only measurements of this phase; empty for every phase.
     qualifier : judges only measurements with exactly this qualifier (empty: only those without one).
-    version : of the limits it belongs to, see ``LimitsVersion``; may be empty.
+    version : version of the limits it belongs to, see ``LimitsVersion``; may be empty.
     """
 
     measurement: str
@@ -111,11 +111,11 @@ class LimitsVersion:
     ----------
     version : its name; every limit that belongs to it carries it.
     date : ISO date it was made on.
-    lot : in words, the golden lot it was proposed from; empty for limits set by hand.
+    lot : golden lot that it was proposed from, in words; empty for limits set by hand.
     coverage_percent, confidence_percent : share of good sensors each limit holds, and how sure that is; None if not
         stated.
-    rule : in words, how a value is judged against limit and guard band; empty if not stated.
-    data_sha256 : of the measurements of the lot; empty without one.
+    rule : rule in words by which a value is judged against limit and guard band; empty if not stated.
+    data_sha256 : digest of the measurements of the lot; empty without one.
     sealed : whether the limits were checked to be those that were proposed.
     """
 

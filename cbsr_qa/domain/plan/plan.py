@@ -73,8 +73,8 @@ class Motion:
     Parameters
     ----------
     press_speed_mm_s : 40 mm/min in the paper.
-    travel_speed_mm_s, hover_mm : between places, and how high above the sheet.
-    homing_s : how long the machine takes to find the zero of its axes; None where it goes there at its travel speed.
+    travel_speed_mm_s, hover_mm : speed between places, and height above the sheet.
+    homing_s : time the machine takes to find the zero of its axes [s]; None where it goes there at its travel speed.
     """
 
     press_speed_mm_s: float
@@ -117,9 +117,9 @@ class ReferenceRing:
 
     Parameters
     ----------
-    resistance_ohm : of each resistor between neighbouring electrodes, the first between electrodes 0 and 1; a single
-        one if they are equal.
-    tolerance : of a resistor, as a fraction: readings may differ by this much.
+    resistance_ohm : resistance of each resistor between neighbouring electrodes, the first between electrodes 0 and
+        1; a single one if they are equal.
+    tolerance : tolerance of a resistor, as a fraction: readings may differ by this much.
     gain : largest error of the gain, as a fraction.
     reading : largest deviation of a reading from the closed form, as a fraction, beside the tolerance.
     noise : largest rms noise of a reading, as a fraction of it.
@@ -179,9 +179,9 @@ class Station:
     emulated_scene : scene shared by its emulated instruments: a name, or a scene file's content; None if it has none.
     reference_ring : measured by ``cbsr-qa station check``; None if the station has none.
     gate : checks before every run.
-    events : where events of its runs are delivered, by name.
+    events : destinations of its runs' events, by name.
     signing_key : file with the private key that signs its calibrations; None: they are not signed.
-    sync : where its database is sent.
+    sync : centre to which its database is sent.
     """
 
     name: str
@@ -218,9 +218,9 @@ class Recipe:
     ----------
     sections : report sections in order; empty for every installed one.
     calibrate_phases : names of the phases whose loads calibrate.
-    limits_version : of those limits that carry one; may be None.
-    characterisation : how press cycles on a strip become a material's parameters; None for recipes that image
-        sensors. If given, ``reconstruction`` is NO_RECONSTRUCTION and ``analysis`` is not used.
+    limits_version : version of those limits that carry one; may be None.
+    characterisation : settings by which press cycles on a strip become a material's parameters; None for recipes that
+        image sensors. If given, ``reconstruction`` is NO_RECONSTRUCTION and ``analysis`` is not used.
     """
 
     name: str

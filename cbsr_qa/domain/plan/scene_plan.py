@@ -23,9 +23,9 @@ class SceneLoad:
     ----------
     x_mm, y_mm : axis of the head, from the sheet's centre.
     strain : depth below the nominal surface over the nominal thickness, as a fraction.
-    start_s : when the head touches the nominal surface.
-    hold_s : how long it stays once it is down.
-    head : which head presses, counted from 1.
+    start_s : time at which the head touches the nominal surface [s].
+    hold_s : time that the head stays once it is down [s].
+    head : number of the head that presses, from 1.
     """
 
     x_mm: float
@@ -48,9 +48,9 @@ class ScenePlan:
     ----------
     scene : current, mesh and effects.
     sensor_type, material : names of files; None if the station states them.
-    indenter, motion : of every head.
-    seed, duration_s : of the recording; None if the scene has none.
-    loads : in the order of the file.
+    indenter, motion : indenter and motion of every head.
+    seed, duration_s : seed and duration of the recording; None if the scene has none.
+    loads : loads in the order of the file.
     """
 
     scene: Scene
@@ -80,9 +80,10 @@ class PressTimes:
 
     Parameters
     ----------
-    leaves_s : it leaves the hover height.
-    touches_s, down_s, lifts_s, clear_s : it touches the nominal surface, is down, goes up, has left the surface.
-    up_s : it is at the hover height again.
+    leaves_s : time at which it leaves the hover height [s].
+    touches_s, down_s, lifts_s, clear_s : times at which it touches the nominal surface, is down, goes up and has left
+        the surface [s].
+    up_s : time at which it is at the hover height again [s].
     """
 
     leaves_s: float

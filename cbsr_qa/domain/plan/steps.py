@@ -103,7 +103,7 @@ class Prompt:
 Step = Home | FindSurface | Press | StrainStep | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
 
 
-#: Just above a surface the head moves at its press speed, because the surface may be higher than expected.
+#: Height above a surface below which the head moves at its press speed, as the surface may be higher than expected.
 CLEARANCE_MM: Final = 0.2
 #: The surface search begins this far above the nominal surface,
 SEARCH_FROM_MM: Final = 0.5

@@ -38,8 +38,8 @@ class SimulatedPress:
 
     Parameters
     ----------
-    index : counts every press of the run; random numbers of a press are addressed with it.
-    x_mm, y_mm : where.
+    index : number of the press in the run; random numbers of a press are addressed with it.
+    x_mm, y_mm : place of the press [mm].
     steps : strain ramps so far, in time order.
     """
 
@@ -66,9 +66,9 @@ class SceneSetting:
 
     Parameters
     ----------
-    seed : of the run; random numbers are addressed with it.
+    seed : seed of the run; random numbers are addressed with it.
     frame_period_s : time of one frame.
-    began_s : when on the run's time line the station's clock began; above 0 in a resumed session.
+    began_s : time on the run's time line when the station's clock began [s]; above 0 in a resumed session.
     """
 
     sensor_type: SensorType
@@ -86,7 +86,7 @@ class HeadRing:
 
     Parameters
     ----------
-    size : of the head's outline about its centre, 1 for the head itself.
+    size : size of the head's outline about its centre, 1 for the head itself.
     weight : relative pressure under it, which adds to that of the other rings.
     """
 
@@ -100,7 +100,7 @@ class SheetDesign:
 
     Parameters
     ----------
-    sensor_type, indenter : what it is, and the head that presses on it.
+    sensor_type, indenter : type of the sensor, and the head that presses on it.
     contact_mm : (electrodes,) contact impedance over the sheet's mean resistance [mm].
     shift_mm : (electrodes, 2) displacement of each electrode from its nominal place.
     conductance, response, thickness : factors by place, each 1 on average; several multiply. Conductance is that of
@@ -149,7 +149,7 @@ class Dump:
 
     Parameters
     ----------
-    frame, row : before which row of which frame.
+    frame, row : frame and row before which it was.
     pause_s : delay of the rest of the frame and of all later ones.
     """
 
@@ -166,7 +166,7 @@ class Transcript:
     ----------
     time_s : (frames,) middles of the frames, on the station's clock, without pauses.
     lost : (frames, drives) rows that never arrive.
-    dumps : of the board's watchdog, by frame and row.
+    dumps : dumps of the board's watchdog, by frame and row.
     """
 
     setting: SceneSetting
@@ -176,16 +176,16 @@ class Transcript:
 
     @classmethod
     def complete(cls, setting: SceneSetting, time_s: Array) -> Self:
-        """Nothing lost, no dumps."""
+        """Return a transcript without lost rows and dumps."""
         rows = setting.sensor_type.pattern.shape[0]
         return cls(setting, time_s, np.zeros((len(time_s), rows), dtype=np.bool_))
 
     def pauses_s(self) -> Array:
         """Delay of each row by dumps, (frames, drives)."""
-        late = np.zeros(self.lost.size)
+        delay_s = np.zeros(self.lost.size)
         for dump in self.dumps:
-            late[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
-        return late.reshape(self.lost.shape)
+            delay_s[dump.frame * self.lost.shape[1] + dump.row :] += dump.pause_s
+        return delay_s.reshape(self.lost.shape)
 
 
 @dataclass(slots=True, eq=False)
@@ -194,8 +194,8 @@ class Moment:
 
     Parameters
     ----------
-    time_s : on the station's clock.
-    index : of the frame, or of the force sample, 0 for the geometry; random numbers are addressed with it.
+    time_s : time on the station's clock [s].
+    index : index of the frame, or of the force sample, 0 for the geometry; random numbers are addressed with it.
     presses : all so far, also those released whose residue may linger.
     response : relative conductance change under the head, per press.
     stress_kPa : under the head, per press.

@@ -13,12 +13,12 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
 
-#: An estimate counts only if it is this many of its own standard errors away from zero …
+#: Number of its own standard errors that an estimate must be away from zero to count, …
 _SIGNIFICANT = 5.0
-#: … and its removal improves reciprocity by at least this share.
+#: … and least share by which its removal must improve reciprocity.
 _WORTHWHILE = 0.2
 _LARGEST = 0.5
-#: Above this, more than a quarter of the readings' power is not reciprocal, so no passive sheet was measured. A
+#: Error above which more than a quarter of the readings' power is not reciprocal: no passive sheet was measured. A
 #: correction must get clearly below it to explain the readings.
 RECIPROCITY_LIMIT = 1.0
 
@@ -49,13 +49,13 @@ class CarryOver:
 def scan_order(block: FrameBlock) -> NDArray[np.int64]:
     """Order in which a frame was read, (drives·measures,) indices into the flattened frame.
 
-    From the readings' own times if recorded, else row by row (the boards' order).
+    The order follows the readings' own times if recorded, else it is row by row (the boards' order).
     """
     count = block.voltages[0].size
     if block.reading_time_s is None:
         return np.arange(count, dtype=np.int64)
-    own = block.reading_time_s.reshape(len(block), count)
-    return np.argsort(np.median(own - own[:, :1], axis=0), kind="stable").astype(np.int64)
+    reading_times = block.reading_time_s.reshape(len(block), count)
+    return np.argsort(np.median(reading_times - reading_times[:, :1], axis=0), kind="stable").astype(np.int64)
 
 
 def correct_carry_over(voltages: Array, share: float, order: NDArray[np.int64]) -> Array:
@@ -69,9 +69,9 @@ def correct_carry_over(voltages: Array, share: float, order: NDArray[np.int64]) 
     stream = voltages.reshape(len(voltages), -1)[:, order].ravel()
     without = stream.copy()
     without[1:] = (stream[1:] - share * stream[:-1]) / (1 - share)
-    out = np.empty((len(voltages), len(order)))
-    out[:, order] = without.reshape(len(voltages), -1)
-    return out.reshape(voltages.shape)
+    corrected = np.empty((len(voltages), len(order)))
+    corrected[:, order] = without.reshape(len(voltages), -1)
+    return corrected.reshape(voltages.shape)
 
 
 def offset_of(frame: Array, used: Mask, *, counts: bool) -> float:
@@ -85,11 +85,11 @@ def reciprocity_error(frame: Array, used: Mask, offset: float) -> float | None:
     A passive sheet gives 0, uncorrelated noise √2. Raw recordings of a board with memory reach 0.6 to 0.9 without
     any electrode being loose.
     """
-    both = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
-    level = float(np.sqrt(np.mean((frame - offset)[both] ** 2))) if both.any() else 0.0
+    both_mask = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
+    level = float(np.sqrt(np.mean((frame - offset)[both_mask] ** 2))) if both_mask.any() else 0.0
     if level == 0.0:
         return None
-    return float(np.sqrt(np.mean((frame - frame.T)[both] ** 2))) / level
+    return float(np.sqrt(np.mean((frame - frame.T)[both_mask] ** 2))) / level
 
 
 def estimate_carry_over(block: FrameBlock, used: Mask) -> CarryOver | None:
@@ -103,22 +103,22 @@ def estimate_carry_over(block: FrameBlock, used: Mask) -> CarryOver | None:
     -------
     CarryOver, or None if drives and measures are not the same pairs or the frame is uninformative.
     """
-    both = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
+    both_mask = used & used.T if used.shape[0] == used.shape[1] else np.zeros_like(used)
     order = scan_order(block)
     frame = block.voltages.mean(axis=0)
     previous = np.empty(frame.size)
     previous[order] = np.roll(frame.ravel()[order], 1)
-    before = previous.reshape(frame.shape)
-    own, last = (frame - frame.T)[both], (before - before.T)[both]
-    power = float(last @ last)
+    frame_before = previous.reshape(frame.shape)
+    own_difference, previous_difference = (frame - frame.T)[both_mask], (frame_before - frame_before.T)[both_mask]
+    power = float(previous_difference @ previous_difference)
     offset = offset_of(frame, used, counts=block.unit is VoltageUnit.COUNT)
     error = reciprocity_error(frame, used, offset)
     if power == 0.0 or error is None:
         return None
-    share = float(own @ last) / power
+    share = float(own_difference @ previous_difference) / power
     # Every pair appears twice with opposite sign, so there are half as many residuals as entries.
-    residual = own - share * last
-    stderr = float(np.sqrt(residual @ residual / max(both.sum() / 2 - 1, 1) / power))
+    residual = own_difference - share * previous_difference
+    stderr = float(np.sqrt(residual @ residual / max(both_mask.sum() / 2 - 1, 1) / power))
     corrected = correct_carry_over(frame[None], share, order)[0] if share < 1 else frame
     remaining = reciprocity_error(corrected, used, offset_of(corrected, used, counts=block.unit is VoltageUnit.COUNT))
     return CarryOver(share, stderr, error, error if remaining is None else remaining)

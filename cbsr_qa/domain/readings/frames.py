@@ -52,7 +52,7 @@ class FrameBlock:
     time_s : (n,) float64, the middle of each frame [s] on the run's or the recording's clock.
     voltages : (n, drives, measures) float64 in ``unit``.
     flags : (n, drives, measures) uint8 of :class:`ReadingFlag`.
-    unit : of the voltages.
+    unit : unit of the voltages.
     current_A : drive current [A]; None where the recording does not state it.
     reading_time_s : (n, drives, measures) float64, each reading's own time [s]; None where not recorded.
 
@@ -101,8 +101,10 @@ class FrameBlock:
         return int(self.time_s.shape[0])
 
     def select(self, which: NDArray[np.bool_] | slice) -> Self:
-        own = None if self.reading_time_s is None else self.reading_time_s[which]
-        return type(self)(self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, own)
+        reading_times = None if self.reading_time_s is None else self.reading_time_s[which]
+        return type(self)(
+            self.time_s[which], self.voltages[which], self.flags[which], self.unit, self.current_A, reading_times
+        )
 
     def select_interval(self, start_s: float, end_s: float) -> Self:
         """Return the frames with start_s ≤ time < end_s."""
@@ -134,12 +136,12 @@ class SampleBlock:
         if self.time_s.shape != self.values.shape or self.time_s.ndim != 1:
             raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
         check_encodable(f"channel {self.channel!r}", self.channel, self.unit)
-        for what, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
-            beyond = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
-            if len(beyond):
+        for noun, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
+            too_large = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
+            if len(too_large):
                 raise RefusedError(
-                    f"channel {self.channel}: the {what} of sample {beyond[0]} (from 0) is"
-                    f" {column[beyond[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
+                    f"channel {self.channel}: the {noun} of sample {too_large[0]} (from 0) is"
+                    f" {column[too_large[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
                 )
 
     def __len__(self) -> int:
@@ -147,8 +149,8 @@ class SampleBlock:
 
     def select_interval(self, start_s: float, end_s: float) -> Self:
         """Return the samples with start_s ≤ time < end_s."""
-        which = (self.time_s >= start_s) & (self.time_s < end_s)
-        return type(self)(self.channel, self.unit, self.time_s[which], self.values[which])
+        inside_mask = (self.time_s >= start_s) & (self.time_s < end_s)
+        return type(self)(self.channel, self.unit, self.time_s[inside_mask], self.values[inside_mask])
 
 
 def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
@@ -163,14 +165,14 @@ def join_frames(blocks: list[FrameBlock]) -> FrameBlock:
         raise RefusedError("no frames to join")
     if len({(b.unit, b.current_A, b.voltages.shape[1:]) for b in blocks}) > 1:
         raise RefusedError("blocks of frames differ in unit, drive current or shape")
-    own = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
+    reading_times = [b.reading_time_s for b in blocks if b.reading_time_s is not None]
     return FrameBlock(
         np.concatenate([b.time_s for b in blocks]),
         np.concatenate([b.voltages for b in blocks]),
         np.concatenate([b.flags for b in blocks]),
         blocks[0].unit,
         blocks[0].current_A,
-        np.concatenate(own) if len(own) == len(blocks) else None,
+        np.concatenate(reading_times) if len(reading_times) == len(blocks) else None,
     )
 
 
@@ -214,14 +216,14 @@ class Recording:
     samples : force and other channels; may be empty.
     loads : presses the recording documents (our own exports); may be empty.
     problems : rows left out or noteworthy, by line.
-    clock : which clock the times are from: ``"board"``, ``"computer"``, ``"given"`` (with an array),
+    clock : clock that the times are from: ``"board"``, ``"computer"``, ``"given"`` (with an array),
         ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
     layout : documented electrode numbering, or their places; None if unknown.
     sensor_type : name of the sensor type if stated.
     notes : facts for a reader, in words.
     frames_dropped : incomplete frames within the file; those cut by its beginning and end do not count.
-    simulated : what was simulated, in words; empty for a real rig.
+    simulated : simulated parts in words; empty for a real rig.
     """
 
     path: Path

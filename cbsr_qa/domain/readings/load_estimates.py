@@ -24,7 +24,7 @@ class Estimated:
     Parameters
     ----------
     value : the estimate.
-    stderr : its standard error.
+    stderr : standard error.
     low, high : 68 % interval; not symmetric about the value where the standard error itself depends on it.
     """
 
@@ -41,7 +41,7 @@ class LoadEstimate:
     Parameters
     ----------
     finding : everything but ``detectability``, misfit and shares is None unless the load was located.
-    why : of a refusal, and what would help; empty otherwise.
+    why : reason of a refusal, and what would help; empty otherwise.
     detectability : d′, the load's signal over the readings' noise (matched filter).
     place_mm : (x, y).
     place_covariance_mm2 : (2, 2); its 68 % region is the ellipse of Mahalanobis distance 1.52.
@@ -51,7 +51,7 @@ class LoadEstimate:
     radius_mm : None if it was given, or is not determined (``no_radius`` gives the reason).
     no_radius : why there is no radius; empty where there is one.
     misfit : sum of squared residuals over their number less that of the unknowns: 1 for a round load on such a sheet.
-    misfit_probability : of a misfit at least as large, were the model right.
+    misfit_probability : probability of a misfit at least as large, were the model right.
     inflation : factor on the covariance because of the misfit of the model; else 1.
     explained : share of the readings' signal that the load explains, weighed by their noise, which is taken off.
     explained_unweighted : the same of the readings' squares.

@@ -16,7 +16,7 @@ class Indenter:
 
     Parameters
     ----------
-    diameter_mm : of a round head; of the disc of the same area for another, see :meth:`with_outline`.
+    diameter_mm : diameter of a round head [mm]; of the disc of the same area for another, see :meth:`with_outline`.
     outline_mm : corners (x, y) from the head's axis, counterclockwise; empty for a round head.
     """
 
@@ -51,10 +51,10 @@ class Indenter:
         """Squared radius of the disc with the head's second moment, 2⟨r²⟩ about its axis [mm²]; r² of a round one."""
         if not self.outline_mm:
             return self.radius_mm**2
-        here = np.array(self.outline_mm)
-        there = np.roll(here, -1, axis=0)
-        cross = here[:, 0] * there[:, 1] - here[:, 1] * there[:, 0]
-        moment = cross @ (here**2 + here * there + there**2).sum(axis=1) / 12
+        corner = np.array(self.outline_mm)
+        next_corner = np.roll(corner, -1, axis=0)
+        cross = corner[:, 0] * next_corner[:, 1] - corner[:, 1] * next_corner[:, 0]
+        moment = cross @ (corner**2 + corner * next_corner + next_corner**2).sum(axis=1) / 12
         return 2 * float(moment) / self.area_mm2
 
     @property
@@ -103,7 +103,7 @@ class EasedStrain:
 
     Parameters
     ----------
-    strain : as a fraction.
+    strain : strain as a fraction.
     start_s, hold_start_s : the head starts to move there, and is there. It is held until the next one starts, or the
         release does.
     """
@@ -131,7 +131,7 @@ class LoadRecord:
     Parameters
     ----------
     index : 0-based within its phase.
-    load : as it was pressed first.
+    load : load as it was pressed first.
     press_start_s … rest_end_s : the head starts down, is down, starts up, is up, the rest is over.
     clear_s : the head has left the sheet, on its way up; None if not recorded (recordings of others).
     eased : the strains it was brought to after the first one, in order; none for an ordinary press.
@@ -153,7 +153,7 @@ class LoadRecord:
         strains = (self.load.strain, *(step.strain for step in self.eased))
         starts = (self.hold_start_s, *(step.hold_start_s for step in self.eased))
         ends = (*(step.start_s for step in self.eased), self.release_start_s)
-        return tuple(HeldStrain(*one) for one in zip(strains, starts, ends, strict=True))
+        return tuple(HeldStrain(*times_of_hold) for times_of_hold in zip(strains, starts, ends, strict=True))
 
     @property
     def unloaded_s(self) -> float:

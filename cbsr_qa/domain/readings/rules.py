@@ -1,6 +1,6 @@
 """The rules for dead pairs of electrodes and for spikes, of recordings, runs and single frames alike.
 
-What a pair should read is known from readings with drive and measurement exchanged, or from the unloaded sheet. A
+The expected readings of a pair are those with drive and measurement exchanged, or those of the unloaded sheet. A
 load changes readings by a part; a pair that hardly drives or measures scales all of its own.
 
 A passive sheet is reciprocal: whatever a load does to V_ij it does to V_ji in the same frame. A reading that is far
@@ -19,9 +19,9 @@ DEAD_SLOPE: Final = 0.4
 DEAD_SPREAD: Final = 0.6
 #: … while those of most pairs follow with at least this slope.
 SOUND_SLOPE: Final = 0.7
-#: Readings that a pair is judged by, at least.
+#: Fewest readings that a pair is judged by.
 FEWEST_OF_PAIR: Final = 6
-#: Nothing comes through a pair whose readings spread by less than this share of what is usual.
+#: Share of the usual spread of readings below which nothing comes through a pair.
 SILENT_SPREAD: Final = 0.05
 
 SPIKE_SIGMA: Final = 7.0  #: distance from where a reading should be, over the noise

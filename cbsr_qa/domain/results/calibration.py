@@ -19,12 +19,12 @@ from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, S
 from cbsr_qa.domain.results.signature import Signature
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Response, SensorIdentity, SensorType
 
-#: Larger than any number of a force model, with a finite square; and larger than any logarithm in one.
+#: Largest number of a force model, with a finite square, and largest logarithm in one.
 _LARGEST: Final = 1e12
 _LARGEST_LOG: Final = 50.0
-#: Nodes along an axis: more than any lattice has, with a representable product.
+#: Largest number of nodes along an axis: more than any lattice has, with a representable product.
 _MOST_NODES: Final = 10_000
-#: Of templates and their slopes in a file: errors of a template add up to 5e-4 of its length (docs/decisions/0047).
+#: Steps of templates and slopes in a file: errors of a template add up to 5e-4 of its length (docs/decisions/0047).
 _STEPS: Final = 2**12
 
 _NotNegative = Annotated[float, Kept(least=0, most=_LARGEST)]
@@ -39,7 +39,7 @@ class Lattice:
     ----------
     origin_mm : (x₀, y₀), from the sheet's centre.
     spacing_mm : h.
-    columns, rows : how many along x and y.
+    columns, rows : numbers of places along x and y.
     """
 
     origin_mm: Annotated[tuple[float, float], Kept(most=_LARGEST)]
@@ -65,13 +65,13 @@ class ForceModel:
 
     Parameters
     ----------
-    lattice : of the places.
+    lattice : lattice of the places.
     node : (rows, columns) int64 index of each place into the arrays below; −1 outside the reachable places.
     merging : (r, m) [1/V] turns changes of the m used readings into r rows of unit noise.
     templates : (n, r) rows of unit length: the readings' change under the calibrated head is strength × e^log_size ×
         template.
     log_size : (n,) logarithm of a change per strength, in standard errors of one frame.
-    size_slope : (n, r) by which a template grows with q − 1, q the head's squared radius over that of the calibrated
+    size_slope : (n, r) growth of a template with q − 1, q the head's squared radius over that of the calibrated
         one, at the same strength × area.
     log_size_gradient : (n, 2) slopes of ``log_size`` along x and y [1/mm].
     turning : (n, 3) products xx, xy, yy of the slopes of a template of unit length, how fast it turns with place
@@ -124,7 +124,7 @@ class BaselineConductance:
     ----------
     location : label of the load, e.g. ``"L0"``.
     value, stderr : relative image units; ``value`` is None if the load does not determine it.
-    loads : their number.
+    loads : number of loads.
     why : reason for a missing value, or a remark.
     """
 
@@ -164,11 +164,11 @@ class LoadRelaxation:
 
     Parameters
     ----------
-    location, trial : of the load.
-    signal, loading : as in :class:`SettlingSummary`.
-    phase, load, strain : of the load; with phase and index (as in ``LoadRecord``), loads of
+    location, trial : location and trial of the load.
+    signal, loading : signal and direction as in :class:`SettlingSummary`.
+    phase, load, strain : phase, index and strain of the load; with phase and index (as in ``LoadRecord``), loads of
         one label and trial at several strains stay apart. None if unknown.
-    unit : of the trace, and so of level, amplitudes and band.
+    unit : unit of the trace, and so of level, amplitudes and band.
     """
 
     location: str
@@ -220,7 +220,7 @@ class Calibration:
     assumed : names of parameters taken from the material file, not measured on this sensor.
     overlap_bands, overlap_threshold : thresholds on area overlap [%].
     size_ratio : lowest and highest blob area over head area for which a band counts; None if not recorded.
-    simulated : what was simulated in the issuing run; empty for a real one.
+    simulated : simulated parts of the issuing run; empty for a real one.
     relaxations : every fit the summaries were taken from.
     noise_figure : measured on this sensor with its own matrix, or None. That of the matrix on the nominal model is in
         ``reconstruction.choice``.
@@ -230,7 +230,7 @@ class Calibration:
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     file : bytes of its file as it was issued; empty where it was read from something else.
-    signature : of the digest, as the file states it; None if it is not signed.
+    signature : signature of the digest, as the file states it; None if it is not signed.
     """
 
     calibration: Annotated[str, Kept("identity/calibration")]
@@ -281,7 +281,7 @@ class VerifiedFile:
     Parameters
     ----------
     bytes_checked : whether the file states a digest of its bytes, which was checked before they were parsed.
-    signature : as the file states it; None if it is not signed.
+    signature : signature as the file states it; None if it is not signed.
     """
 
     path: Path

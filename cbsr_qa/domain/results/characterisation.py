@@ -9,7 +9,7 @@ from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
 from cbsr_qa.domain.results.relaxation import RelaxationFit, SettlingTime
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Relaxation, Response, StripRelaxation
 
-#: What the characterisation of a strip measures: names of measurements → units.
+#: Measurements of the characterisation of a strip: names → units.
 STRIP_MEASURES: Final[Mapping[str, str]] = {
     "gauge_factor": "1",
     "gauge_factor_intercept": "1",
@@ -46,7 +46,7 @@ class CycleReadings:
     strain : nominal, as a fraction.
     cycle : 0-based among those of its strain.
     hold_start_s, rest_start_s : ends of the two ramps, on the run's clock.
-    press_ramp_s, release_ramp_s : how long the strain took to rise and to fall; 0 if unknown.
+    press_ramp_s, release_ramp_s : times that the strain took to rise and to fall [s]; 0 if unknown.
     held_s, held : (n,) times from the end of the press and relative conductance changes between the pins.
     rested_s, rested : the same from the end of the release.
     before : the last changes before the press, (k,).
@@ -77,12 +77,12 @@ class CycleChange:
 
     Parameters
     ----------
-    load, strain, cycle : as in :class:`CycleReadings`.
-    apparent, apparent_stderr : steady, between the pins, from the level the rest before was going to.
-    local, local_stderr : the same under the head.
-    from_before, from_rested : between the pins at the end of the hold, from the last readings before the press and
+    load, strain, cycle : load, strain and cycle as in :class:`CycleReadings`.
+    apparent, apparent_stderr : steady change between the pins, from the level that the rest before was going to.
+    local, local_stderr : steady change under the head.
+    from_before, from_rested : change between the pins at the end of the hold, from the last readings before it and
         from the rested strip.
-    stress_kPa, stress_stderr_kPa : steady; None where no force can be used.
+    stress_kPa, stress_stderr_kPa : steady stress; None where no force can be used.
     """
 
     load: int
@@ -104,8 +104,8 @@ class StrainLevel:
 
     Parameters
     ----------
-    strain : as a fraction.
-    cycles : how many were used.
+    strain : strain as a fraction.
+    cycles : number of cycles used.
     mean, deviation : steady change between the pins, and its standard deviation over the cycles.
     local_mean, local_deviation : the same under the head.
     stress_kPa : mean; None without force.
@@ -147,10 +147,10 @@ class StrainSettling:
     signal : ``"conductance"`` (under the head) or ``"stress"``.
     loading : True after the press, False after the release.
     strain : None for all strains together.
-    fit : of the mean trace, relative to the level before the press; time constants are common to all cycles.
+    fit : fit of the mean trace, relative to the level before the press; time constants are common to all cycles.
     settling, stderr_s : and the standard error where it has a plain number.
     time_s, values : (n,) the mean trace that is drawn.
-    traces : how many cycles.
+    traces : number of cycles.
     """
 
     signal: str
@@ -175,11 +175,11 @@ class StripFacts:
 
     Parameters
     ----------
-    resistance_ohm : between the pins, rested.
+    resistance_ohm : rested resistance between the pins.
     relative_noise : rms of one reading over their mean, rested.
     squares : resistance between the pins over the sheet resistance, by the forward model.
-    contact_share : of the resistance, what is assumed to lie in the contacts.
-    head_share : of a small change under the head, what shows between the pins.
+    contact_share : share of the resistance that is assumed to lie in the contacts.
+    head_share : share of a small change under the head that shows between the pins.
     """
 
     resistance_ohm: Parameter
@@ -195,16 +195,16 @@ class Characterisation:
 
     Parameters
     ----------
-    settings, strip : what was assumed, and what was characterised.
+    settings, strip : assumptions, and the strip that was characterised.
     cycles, levels : changes of every cycle that was used, and by strain.
     response : INCREASE or DECREASE; AUTO where the cycles do not say.
-    against_strain, against_stress : between the pins, as the paper has them (Eqs 1 and 2).
-    local_against_strain, local_against_stress : under the head, corrected for the rest of the strip.
+    against_strain, against_stress : lines between the pins, as in the paper (Eqs 1 and 2).
+    local_against_strain, local_against_stress : lines under the head, corrected for the rest of the strip.
     end_of_hold : slopes against strain of the changes as they were read at the end of the holds, without what fits
         add: from before the press, and from the rested strip.
     modulus_kPa : slope of the steady stress against strain; None without one.
-    strain_offset : where that line crosses zero stress: by how much the surface was missed.
-    settlings : by strain and of all strains.
+    strain_offset : strain where that line crosses zero stress: by how much the surface was missed.
+    settlings : settlings by strain and of all strains.
     loading, unloading, stress : kernels of a unit step; None if not determined.
     relaxation : those of conductance by the estimator of sheets, with their errors; None without one.
     lowest_strain : least strain at which the local line is clear of zero; None where it never is.
@@ -212,7 +212,7 @@ class Characterisation:
         none was found.
     unread : cycles that could not be used at all, by name.
     refused : why no material file may be issued; empty where one may.
-    reduced : what was left out, or narrows the range of use.
+    reduced : remarks on what was left out, or narrows the range of use.
     """
 
     settings: CharacterisationSettings

@@ -25,8 +25,8 @@ class ChartSettings:
     ----------
     subgroup : runs a point; 1 but for means and ranges.
     rules : numbers of Nelson's tests, for individuals and means.
-    weight, width : of EWMA; limits are ``width`` deviations of the average wide.
-    slack, threshold : of CUSUM, in deviations.
+    weight, width : weight and width of EWMA; limits are ``width`` deviations of the average wide.
+    slack, threshold : slack and threshold of CUSUM, in deviations.
     """
 
     chart: ChartKind = ChartKind.INDIVIDUALS
@@ -45,11 +45,11 @@ class ChartReference(ChartSettings):
     Parameters
     ----------
     golden : serial number where only runs of this sensor are charted; None for production runs.
-    name, phase, qualifier, location : of the metric.
-    mean, deviation : of single values, in ``unit``.
+    name, phase, qualifier, location : name, phase, qualifier and location of the metric.
+    mean, deviation : mean and deviation of single values, in ``unit``.
     runs, first_run, last_run : the reference period (phase I).
-    operator, made_at, why : who set it, when by the computer's clock, and for what reason.
-    retired : nothing is charted against these limits from here on; all else is what held before.
+    operator, made_at, why : person who set it, time by the computer's clock, and reason.
+    retired : whether nothing is charted against these limits from here on; all other fields hold as before.
     """
 
     reference: str
@@ -77,13 +77,13 @@ class ChartReference(ChartSettings):
 
     @property
     def settings(self) -> ChartSettings:
-        return ChartSettings(**{one.name: getattr(self, one.name) for one in fields(ChartSettings)})
+        return ChartSettings(**{field.name: getattr(self, field.name) for field in fields(ChartSettings)})
 
     @property
     def label(self) -> str:
         """Metric and chart for people, with the golden sensor if there is one."""
-        of = f" of golden sensor {self.golden}" if self.golden else ""
-        return f"{self.key.title}{of}, chart {self.chart}"
+        golden_words = f" of golden sensor {self.golden}" if self.golden else ""
+        return f"{self.key.title}{golden_words}, chart {self.chart}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,10 +94,10 @@ class StandingSignal:
     ----------
     rules : those that spoke, the earliest first.
     since_run, since_serial, since : the run at which it began, its sensor, and when by the station's clock.
-    runs : how many runs there were from then on, that one included.
-    at_least : it may have begun earlier than was looked back.
-    began_run, began_serial, began : of a cumulative sum the run after the last at which it was zero, about when the
-        change began; None of other charts.
+    runs : number of runs from then on, that one included.
+    at_least : whether it may have begun earlier than was looked back.
+    began_run, began_serial, began : identifier, sensor and start of the run after the last at which a cumulative sum
+        was zero, about when the change began; None of other charts.
     """
 
     label: str
@@ -117,11 +117,11 @@ class StandingSignal:
 
     def describe_since(self) -> str:
         """Say since when the chart signals, and by which rule."""
-        least, many = "at least " if self.at_least else "", "" if self.runs == 1 else "s"
+        at_least, plural_s = "at least " if self.at_least else "", "" if self.runs == 1 else "s"
         rules = "; ".join(f"rule {rule}" if rule[0].isdigit() else rule for rule in self.rules)
         began = "" if self.began is None else f"; the change began at about {_run(self.began_serial, self.began)}"
         since = _run(self.since_serial, self.since)
-        return f"signals since {since} ({least}{self.runs} run{many}), {rules}{began}"
+        return f"signals since {since} ({at_least}{self.runs} run{plural_s}), {rules}{began}"
 
 
 def _run(serial: str | None, begun: datetime) -> str:
@@ -134,8 +134,8 @@ class StationCharts:
 
     Parameters
     ----------
-    charts : how many have a stored reference and were looked at.
-    notes : what could not be charted, and doubtful clocks, in sentences.
+    charts : number of charts that have a stored reference and were looked at.
+    notes : notes on what could not be charted, and on doubtful clocks, in sentences.
     """
 
     station: str
@@ -145,5 +145,5 @@ class StationCharts:
 
     def warnings(self) -> tuple[str, ...]:
         """Return one warning per signalling chart."""
-        here = prefix_kind("station", self.station)
-        return tuple(f"{here} is out of control: {signal.words()}" for signal in self.signals)
+        station_words = prefix_kind("station", self.station)
+        return tuple(f"{station_words} is out of control: {signal.words()}" for signal in self.signals)

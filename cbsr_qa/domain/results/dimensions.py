@@ -14,14 +14,14 @@ class Dimensions:
 
     Parameters
     ----------
-    words : what has no type: a kind (``"watershed"``), a signal (``"image"``), a place of a simulated target.
+    words : parts that have no type: a kind (``"watershed"``), a signal (``"image"``), a place of a simulated target.
     direction : ``"loading"`` or ``"unloading"``.
     target_mm : diameter of a simulated target; its text has three digits.
     mask : percentage mask as a fraction; None also for the run's main mask.
     pair : electrodes of a pair.
     drive, measure : row and column of a reading.
-    strain : as a fraction.
-    reference : what a load was compared with instead of the recipe's choice.
+    strain : strain as a fraction.
+    reference : reference that a load was compared with instead of the recipe's choice.
     """
 
     words: str = ""
@@ -37,22 +37,26 @@ class Dimensions:
     @classmethod
     def from_qualifier(cls, qualifier: str) -> Self:
         """Read a qualifier; parts of no known form are its words."""
-        words: list[str] = []
-        known: dict[str, Any] = {}
+        untyped_parts: list[str] = []
+        value_by_name: dict[str, Any] = {}
         for part in filter(None, qualifier.split(", ")):
             for name, (pattern, value, _) in _PARTS.items():
-                if (match := re.fullmatch(pattern, part)) and name not in known:
-                    known[name] = value(*match.groups())
+                if (match := re.fullmatch(pattern, part)) and name not in value_by_name:
+                    value_by_name[name] = value(*match.groups())
                     break
             else:
-                words.append(part)
-        return cls(", ".join(words), **known)
+                untyped_parts.append(part)
+        return cls(", ".join(untyped_parts), **value_by_name)
 
     @property
     def text(self) -> str:
         """The qualifier, as it is stored, printed and matched by limits."""
-        held = {name: getattr(self, name) for name in _PARTS}
-        parts = [write(held[name]) for name, (_, _, write) in _PARTS.items() if held[name] not in ("", None)]
+        value_by_name = {name: getattr(self, name) for name in _PARTS}
+        parts = [
+            write(value_by_name[name])
+            for name, (_, _, write) in _PARTS.items()
+            if value_by_name[name] not in ("", None)
+        ]
         return ", ".join(filter(None, (self.words, *parts)))
 
 

@@ -20,7 +20,7 @@ def place_in_words(electrode: float, r_over_R: float, electrodes: int) -> str:
     Parameters
     ----------
     electrode : direction as a fractional 0-based electrode number.
-    electrodes : their number; a direction just before the first is rounded to 0.0.
+    electrodes : number of electrodes; a direction just before the first is rounded to 0.0.
     """
     if r_over_R < _AT_CENTRE:
         return f"centre (r/R {r_over_R:.2f})"
@@ -77,7 +77,7 @@ class NoiseReport:
     unit : the recording's, ``"V"`` or ``"count"``.
     drift_per_min : median over channels of the slope, in ``unit`` per minute; None where time is unknown.
     steps : changes of level or noise; if any, ``rms`` is that of the longest quiet stretch.
-    quiet_s : (start, end) of that stretch; may be None.
+    quiet_s : start and end of that stretch [s]; may be None.
     frames : number of its frames.
     outliers : share of all readings further than six times the noise from their channel's level in that stretch.
     """
@@ -142,13 +142,13 @@ class ImagedPlace(_OnDisc):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class EventImaging:
-    """How the images of events were made.
+    """Method by which the images of events were made.
 
     Parameters
     ----------
     reconstruction : the plugin, and the options it was given.
-    choice : of its parameter; None if there was no event to image.
-    elements : of an image; None likewise.
+    choice : choice of its parameter; None if there was no event to image.
+    elements : number of elements of an image; None likewise.
     """
 
     reconstruction: PluginChoice
@@ -165,7 +165,7 @@ class Motion:
     begins, ends : electrode (direction as a fractional number) and r/R of its first and last place.
     turns : round the centre, positive towards higher electrode numbers; undefined for a path through the centre.
     nearest_r_over_R : smallest distance from the centre.
-    electrodes : their number.
+    electrodes : number of electrodes.
     """
 
     begins: tuple[float, float]
@@ -199,19 +199,20 @@ class LoadEvent(_OnDisc):
 
     Parameters
     ----------
-    start_s, peak_s, end_s : on the recording's clock [s]; ``end_s`` is the last frame if it lasts to the end.
+    start_s, peak_s, end_s : start, peak and end on the recording's clock [s]; ``end_s`` is the last frame if it lasts
+        to the end.
     x_over_R, y_over_R : place in units of the sheet's radius, x towards electrode 0's direction as drawn.
     electrode : its direction as a fractional 0-based electrode number, of ``electrodes``.
     sign : +1 if the place conducts more, −1 less.
     snr : detection statistic over its noise, dimensionless.
-    x_mm, y_mm : only if a sensor type was named.
+    x_mm, y_mm : place [mm]; only if a sensor type was named.
     force_N : peak force while it lasted; None where not recorded.
     track : (time_s, x_over_R, y_over_R) per frame of an object that moves; empty for a press.
-    motion : of an object; None if it stays, and for a press.
+    motion : motion of an object; None if it stays, and for a press.
     fate : beside others held at its peak, whether the image shows it ``"apart"``, ``"merged"`` with one of them, or
         it was ``"missed"``; empty where it was alone.
     imaged : its place in its image; None if the image shows nothing near it.
-    goodness : of the fit of loads on the modelled sheet.
+    goodness : goodness of the fit of loads on the modelled sheet.
     """
 
     start_s: float
@@ -243,7 +244,7 @@ class RecordingResult:
     frame_rate_hz : None for still images.
     events_why : why there is no event ("nothing stands out of the noise", …), else empty.
     sensor_type : None if not stated.
-    imaging : how the images were made; None if such a recording cannot be imaged.
+    imaging : description of how the images were made; None if such a recording cannot be imaged.
     """
 
     recording: Recording

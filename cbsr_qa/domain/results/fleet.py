@@ -22,8 +22,9 @@ class MetricKey:
 
     Parameters
     ----------
-    name, phase, qualifier : as of a :class:`~cbsr_qa.domain.results.measurement.Measurement`.
-    location : of the loads the figure is of; empty for all of them together.
+    name, phase, qualifier : name, phase and qualifier as in a
+        :class:`~cbsr_qa.domain.results.measurement.Measurement`.
+    location : location of the loads the figure is of; empty for all of them together.
     """
 
     name: str
@@ -54,10 +55,11 @@ class RunSelection:
     serials, stations, operators : names; none for any.
     recipe, batch : a name; None for any.
     since, until : first and last day a run began on, UTC.
-    from_moment, before_moment : when a run began, the first included and the second not; None for no bound.
+    from_moment, before_moment : bounds of the start of a run, the first included and the second not; None for no
+        bound.
     checks : False leaves out runs of golden sensors that checked a station.
     after, up_to : runs whose identifiers sort after the one and not after the other; empty for no bound.
-    latest : only so many of the latest; None for all.
+    latest : largest number of runs, the latest; None for all.
 
     Raises
     ------
@@ -93,15 +95,15 @@ class RunLine:
     Parameters
     ----------
     run : its identifier; sorted as text, runs are in the order they were made in, whatever the clock said.
-    started_at : by the station's clock, which may have been wrong.
-    made_at : when the identifier was made; None if it has none.
+    started_at : start by the station's clock, which may have been wrong.
+    made_at : time when the identifier was made; None if it has none.
     end : RUNNING if it was interrupted or is in progress.
-    outcome, reason, software : of its latest analysis after its last session; None and empty where it has none.
-        Software as (distribution, version) pairs.
-    simulated : in words; empty for a real bench.
-    of_check : whether it is a golden sensor's, made to check its station.
-    overridden_to : of the latest override of that analysis; None without one.
-    altered : what does not match the chain; the run has no outcome then. Empty where nothing does.
+    outcome, reason, software : outcome, reason and software of its latest analysis after its last session; None and
+        empty where it has none. Software as (distribution, version) pairs.
+    simulated : simulated parts in words; empty for a real bench.
+    of_check : whether the run is a golden sensor's, made to check its station.
+    overridden_to : outcome of the latest override of that analysis; None without one.
+    altered : description of what does not match the chain; the run has no outcome then. Empty where nothing does.
     """
 
     run: str
@@ -149,10 +151,11 @@ class RunFigure:
     Parameters
     ----------
     value : None where one of the values is missing, or only a lower bound.
-    places : how many values it is the mean of.
-    missing, bounded : how many of them have no value, and how many are only lower bounds.
-    lower, upper : its limit; None for a side without one.
-    units : of the run's values where they are several, sorted; there is no value then, and ``unit`` is one of them.
+    places : number of values it is the mean of.
+    missing, bounded : numbers of them that have no value, and that are only lower bounds.
+    lower, upper : bounds of its limit; None for a side without one.
+    units : units of the run's values where they are several, sorted; there is no value then, and ``unit`` is one of
+        them.
     """
 
     run: str
@@ -191,9 +194,9 @@ class ValueKind:
 
     Parameters
     ----------
-    key : of the metric, without a location: values of all loads are one metric.
+    key : key of the metric, without a location: values of all loads are one metric.
     location : label of the load; empty if not about one.
-    lower, upper : of their limit; None if there was none.
+    lower, upper : bounds of their limit; None if there was none.
     """
 
     key: MetricKey
@@ -209,11 +212,11 @@ class FleetTable:
 
     Parameters
     ----------
-    runs : (R,) in the order they were made in.
+    runs : (R,) runs in the order they were made in.
     kinds : (K,) what there are values of.
     run, kind : (N,) index of each value's run and kind.
-    value : (N,) in the kind's unit; NaN for missing values, as in numpy.
-    state : (N,) of :class:`State`.
+    value : (N,) values in the kind's unit; NaN for missing values, as in numpy.
+    state : (N,) states of :class:`State`.
     places_mm : label of a load → where it is pressed.
     """
 

@@ -12,10 +12,10 @@ import numpy as np
 from cbsr_qa.domain.kept import Kept
 from cbsr_qa.domain.numbers import Array, Indices
 
-#: Presses that are learned from: opening a calibration grows with their cube, and takes 6 s for so many.
+#: Largest number of presses to learn from: the time to open a calibration grows with its cube, to 6 s at this number.
 MOST_PRESSES: Final = 4000
 _LARGEST = 1e12
-#: Far more than any sheet has from its centre.
+#: Largest number of a node, counted from the centre: far more than any sheet has.
 _LARGEST_NODE = 1000
 
 _Positive = Annotated[float, Kept(least=0, most=_LARGEST)]
@@ -27,7 +27,7 @@ class FeatureScaling:
 
     Parameters
     ----------
-    ceiling : (m,) in the readings' unit.
+    ceiling : (m,) ceiling in the readings' unit.
     """
 
     exponent: _Positive
@@ -90,8 +90,8 @@ class PlaceProcess:
 
     Parameters
     ----------
-    features : (n, m) of the presses.
-    places_mm : (n, 2) of the presses.
+    features : (n, m) features of the presses.
+    places_mm : (n, 2) places of the presses.
     weights : (n, 2) K⁻¹y [1/mm].
     """
 
@@ -121,14 +121,14 @@ class PlaceTemplates:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceMixture:
-    """How both estimates are mixed, and how far the place may be from that.
+    """Mixture of both estimates, and the distance that the place may have from it.
 
     Parameters
     ----------
-    share : of the templates' estimate.
+    share : share of the templates' estimate.
     spread : (3,) weights in the covariance Σ of a place: of the templates' own, of 1 mm², and of the squared
         distance between both estimates.
-    quantiles : (2,) of dᵀΣ⁻¹d that hold 68 and 95 % of presses that were left out.
+    quantiles : (2,) quantiles of dᵀΣ⁻¹d that hold 68 and 95 % of presses that were left out.
     """
 
     share: _Positive
@@ -138,15 +138,15 @@ class PlaceMixture:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class ModelledPlace:
-    """Where the modelled sheet is touched: weak loads on a lattice of the registered sheet.
+    """Model of the touched place on the modelled sheet: weak loads on a lattice of the registered sheet.
 
     Parameters
     ----------
     node : (k, 2) columns and rows from the sheet's centre, in its axes.
-    step_mm : between nodes, on the sheet.
+    step_mm : distance between nodes, on the sheet.
     templates : (k, m) changes of the readings per strength; zero of those that do not answer.
-    variance_mm2 : of a place along an axis, from the presses that the sheet was registered with.
-    widening : of covariances, so that regions of the learned places' quantiles hold those presses.
+    variance_mm2 : variance of a place along an axis [mm²], from the presses that the sheet was registered with.
+    widening : factor of covariances, so that regions of the learned places' quantiles hold those presses.
     noise : standard deviation of a reading's noise, root mean square; 0 if unknown.
     """
 
@@ -160,11 +160,11 @@ class ModelledPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedPlace:
-    """Where a sheet is pressed, from a frame's changes.
+    """Model of the place where a sheet is pressed, from a frame's changes.
 
     Parameters
     ----------
-    centre_mm : (2,) of the sheet in the frame of the presses.
+    centre_mm : (2,) centre of the sheet in the frame of the presses.
     axes : (2, 2) orthogonal A: a place p is A (p − centre) in the electrodes' axes.
     misfit : largest squared misfit per reading of a touch like those learned from.
     least_size : smallest root mean square of the readings that is a touch, in their unit.
@@ -185,11 +185,12 @@ class LearnedPlace:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class PlaceOfRun:
-    """What the presses of a run taught about place, kept because it was clearly better than the model of the sheet.
+    """Place as learned from the presses of a run, kept because it was clearly better than the model of the sheet.
 
     Parameters
     ----------
-    learned : of the rows of :attr:`~cbsr_qa.domain.results.ForceModel.merging`, as readings [V], on the sheet.
+    learned : place learned from the rows of :attr:`~cbsr_qa.domain.results.ForceModel.merging`, as readings [V], on
+        the sheet.
     presses : number it was learned from.
     error_mm, modelled_error_mm : mean distance of found from pressed places of presses left out, and of the same
         presses by the force model's templates; ``gain_stderr_mm`` of their difference.

@@ -16,12 +16,12 @@ class QuantityScales:
 
     Parameters
     ----------
-    ring : of what depends on the distance from the centre alone.
-    relief : of what depends on the place.
-    curve : of what depends on the strength, beside a straight line.
-    noise : of a press.
-    weak_noise : beside it, of a press of median strength; it falls with the square of the strength.
-    length_mm : over which ring and relief change.
+    ring : variance of what depends on the distance from the centre alone.
+    relief : variance of what depends on the place.
+    curve : variance of what depends on the strength, beside a straight line.
+    noise : variance of the noise of a press.
+    weak_noise : additional noise variance of a press of median strength; it falls with the square of the strength.
+    length_mm : length over which ring and relief change.
     """
 
     ring: _NotNegative
@@ -39,11 +39,11 @@ class LearnedQuantity:
     Parameters
     ----------
     logarithmic : whether the process is of the quantity's logarithm: all presses were positive.
-    centre_mm : (2,) of the sheet in the frame of the presses.
-    strength : (n,) of the presses: their changes over the templates at their places.
+    centre_mm : (2,) centre of the sheet in the frame of the presses.
+    strength : (n,) strengths of the presses: their changes over the templates at their places.
     places_mm : (n, 2) as found when each press was left out.
-    values : (n,) of the presses.
-    quantiles : (2,) of errors of presses left out, in stated standard errors, that hold 68 and 95 % of them.
+    values : (n,) values of the presses.
+    quantiles : (2,) errors of presses left out, in stated standard errors, that hold 68 and 95 % of them.
     error, error_stderr : mean absolute error of presses left out, and its standard error.
     covered : (2,) share of the presses left out that the intervals of 68 and 95 % hold, as wide as the other half of
         them says.

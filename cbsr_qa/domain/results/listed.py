@@ -9,7 +9,7 @@ from cbsr_qa.domain.results.fleet import MetricKey
 from cbsr_qa.domain.run.run import UNCHAINED, ChainState
 from cbsr_qa.domain.run.states import EndReason
 
-#: In place of a verdict, where a run does not match its chain.
+#: Word in place of a verdict, where a run does not match its chain.
 ALTERED: Final = "altered"
 
 
@@ -28,20 +28,21 @@ class ListedRun:
 
     Parameters
     ----------
-    run : its identifier; sorted as text, runs are in the order they were made in.
-    started_at : by the station's clock.
+    run : identifier; sorted as text, runs are in the order they were made in.
+    started_at : start by the station's clock.
     end : RUNNING if it was cut off or is in progress.
     station_s : station time until its last session began or ended [s].
-    outcome, reason : of its latest analysis after its last session; None and empty where it has none.
+    outcome, reason : outcome and reason of its latest analysis after its last session; None and empty where it has
+        none.
     decision : the latest override of that analysis; None where there is none.
     failed : metrics outside their limits in that analysis, each once, in the order they were measured.
     earlier : finished runs of the sensor and recipe made before this one, checks of stations not counted.
-    of_check : whether it is a golden sensor's, made to check its station.
+    of_check : whether the run is a golden sensor's, made to check its station.
     simulated : whether anything was simulated.
-    end_detail : by whom it was aborted, or what broke it.
+    end_detail : person who aborted it, or what broke it.
     chain : state of its chain.
-    altered : what does not match the chain, also its ``reason`` then; it has no outcome and no verdict. Empty where
-        nothing does.
+    altered : description of what does not match the chain, also its ``reason`` then; it has no outcome and no
+        verdict. Empty where nothing does.
     """
 
     run: str

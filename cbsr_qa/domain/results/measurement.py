@@ -29,12 +29,12 @@ class Measurement:
     phase : the phase it was measured in; empty for the whole run.
     location : label of the load; empty if not about one.
     trial : 0-based; None if not about one.
-    qualifier : what else tells it from its siblings, e.g. ``"mask 85 %"``; typed: ``dimensions``.
+    qualifier : text that tells it from its siblings, e.g. ``"mask 85 %"``; typed: ``dimensions``.
     how : method, or the reason of a refusal with its remedy.
     bound : whether the value is the quantity or only a lower bound of it.
     load : index of the load within its phase, as in ``LoadRecord``; None if not about one.
         With ``phase`` it tells apart loads of one label and trial at several strains.
-    strain : of that load, as a fraction.
+    strain : strain of that load, as a fraction.
     limit, outcome : set by :meth:`judge`.
     """
 
@@ -152,17 +152,19 @@ def describe_judgement(measurement: Measurement) -> str:
     bounds = [f"at least {_number(limit.lower)}"] if limit.lower is not None else []
     bounds += [f"at most {_number(limit.upper)}"] if limit.upper is not None else []
     least = "at least " if measurement.bound is Bound.LOWER else ""
-    said = f"{measurement.label} is {least}{_number(measurement.value)} {_format_unit(measurement.unit)}".rstrip()
+    value_words = (
+        f"{measurement.label} is {least}{_number(measurement.value)} {_format_unit(measurement.unit)}".rstrip()
+    )
     allowed = f"allowed: {' and '.join(bounds)} {_format_unit(limit.unit)}".rstrip()
-    return f"{said} ({allowed})"
+    return f"{value_words} ({allowed})"
 
 
 def _reason(measurement: Measurement, outcome: Outcome, judged: int) -> str:
-    words = describe_judgement(measurement)
+    judgement = describe_judgement(measurement)
     if outcome is not Outcome.PASS:
-        return words
-    met = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
-    return f"{met}: {words}"
+        return judgement
+    opening = "the only limit is met" if judged == 1 else f"all {judged} limits are met; the closest"
+    return f"{opening}: {judgement}"
 
 
 def _number(value: float) -> str:

@@ -101,9 +101,9 @@ class LoadObservation:
     response : sign that was applied before masking.
     noise_floor : relative, subtracted for masks only.
     masks : one view per percentage mask, in the recipe's order.
-    steady_frames : how many frames the steady image averages.
+    steady_frames : number of frames that the steady image averages.
     settled : whether they lie at or beyond 1.5 × the settling time; None where no settling time is known.
-    together : how many loads were held while the steady frames were taken, this one included.
+    together : number of loads that were held while the steady frames were taken, this one included.
     force_N, force_stderr_N : mean over the same window; None where no force was recorded.
     residue : largest absolute value of the image just before the press: what earlier loads left behind, of
         either sign (an unloading spike goes the other way).
@@ -163,7 +163,7 @@ class LoopObservation:
 
     Parameters
     ----------
-    records : of the loops, in time order.
+    records : records of the loops, in time order.
     output : amplitude of every frame along the pattern that all of them share, 1 at the deepest strain, on the run's
         clock from the first press to the end of the last rest.
     noise : standard deviation of the output of a single frame of the unloaded sheet.
@@ -214,13 +214,13 @@ class RunObservation:
     reference : (drives, measures) float64 V, the reference frame.
     noise_floor : relative.
     noise_images : (8, e) images the floor was taken from.
-    response : what was configured or decided, INCREASE or DECREASE.
+    response : response that was configured or decided, INCREASE or DECREASE.
     response_how : ``"configured"`` or how it was decided.
     main_mask : fraction the verdict uses (0.85), as in ``settings``.
     loads : every held press, in time order; without loops.
     usable : (drives, measures) bool, readings that were imaged.
     timelines : metrics of every frame, for the phases that press a grid of places.
-    settings : how images became numbers.
+    settings : settings by which images became numbers.
     loops : presses that were eased to other strains, by place.
     """
 
@@ -245,7 +245,7 @@ class RunObservation:
     def derive(self, compute: Callable[..., R], *args: Hashable) -> R:
         """Return what a function makes of this run: computed on first use, and kept with the run from then on.
 
-        For what is costly and asked for more than once, by a metric, a section of the report and the calibration. A
+        Use it for results that are costly and that metrics, report sections and the calibration need several times. A
         run that is changed (``dataclasses.replace``) starts without any.
 
         Parameters

@@ -1,4 +1,4 @@
-"""What is issued from labelled presses: where they came from, how the sheet lies, and what was learned from them."""
+"""Calibrations from labelled presses: origin of the presses, pose of the sheet, and the models learned from them."""
 
 from dataclasses import dataclass
 from typing import Annotated, Final
@@ -11,7 +11,7 @@ from cbsr_qa.domain.results.learned_place import LearnedPlace, ModelledPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.signature import Signature
 
-#: What presses may be labelled with beside their places, and in which unit.
+#: Quantities that presses may be labelled with beside their places, and their units.
 PRESS_QUANTITIES: Final = {"force": "N", "depth": "mm"}
 
 Pairs = tuple[tuple[int, int], ...]
@@ -28,8 +28,8 @@ class SheetRegistration:
     rotation_deg : θ, counterclockwise.
     mirrored : whether the electrodes run the other way round than the sensor type says, as seen by the presses.
     scale : length in the frame of the presses over length on the sheet; 1 where the radius was estimated.
-    shift_mm : where the sheet's centre is in the frame of the presses.
-    radius_mm : of the sheet; as stated, with a standard error of zero, or estimated.
+    shift_mm : sheet's centre in the frame of the presses [mm].
+    radius_mm : radius of the sheet [mm]; as stated, with a standard error of zero, or estimated.
     place_share : share of the spread of the presses' places that the physical estimate explains, by medians; negative
         where it errs by more than the presses are apart.
     signal_share : share of the readings' changes that the modelled sheet explains at the registered places, median
@@ -88,7 +88,7 @@ class SourceFile:
     Parameters
     ----------
     role : ``"readings"``, ``"presses"``, ``"pattern"``, ``"rest"`` or ``"sensor type"``.
-    name : without its folder.
+    name : name of the file, without its folder.
     digest : SHA-256 of its bytes.
     """
 
@@ -103,8 +103,8 @@ class LeftOutPress:
 
     Parameters
     ----------
-    row : of the tables, counted from 1 below the header.
-    why : in words.
+    row : row of the tables, counted from 1 below the header.
+    why : reason in words.
     """
 
     row: Annotated[int, Kept(units="index")]
@@ -113,13 +113,13 @@ class LeftOutPress:
 
 @dataclass(frozen=True, slots=True, eq=False, repr=False)
 class PressCalibration:
-    """What was learned of one sensor from labelled presses.
+    """Calibration of one sensor from labelled presses.
 
     Parameters
     ----------
     calibration : time-ordered UUID as text.
     issued_at : ISO time with zone.
-    made_by : that no station made it.
+    made_by : statement that no station made it.
     sensor_type : name of the sensor type; ``electrodes`` how many it has.
     sources : the files it was made from.
     differences : whether the readings were changes already; else changes are against ``rest``.
@@ -127,17 +127,18 @@ class PressCalibration:
     repeats : (m,) columns of the table that each reading is the mean of.
     rest : (m,) mean of the unloaded frames; None where the readings were changes.
     noise : (m,) standard deviation of one frame about it; None where fewer than two frames were given.
-    registration : how the sheet lies in the frame of the presses.
+    registration : pose of the sheet in the frame of the presses.
     findings : about readings, electrodes and sheet, in words.
     used, left_out : presses that it was learned from and those it was not.
     held_out_mm, held_out_stderr_mm, held_out : mean error of place of presses left out, its standard error and their
         number.
     covered_68, covered_95 : share of these whose region of that probability holds the label.
     place : model that converts changes to places.
-    modelled : the same by the modelled sheet alone.
-    force, depth : what turns located changes into newtons and millimetres; None where presses had none.
+    modelled : figures by the modelled sheet alone.
+    force, depth : models that turn located changes into newtons and millimetres; None where presses had none.
     drive, measure : pairs by row and column of a frame of the sensor type.
-    digest, record_digest, file, signature : as of :class:`~cbsr_qa.domain.results.calibration.Calibration`.
+    digest, record_digest, file, signature : digests, file and signature as in
+        :class:`~cbsr_qa.domain.results.calibration.Calibration`.
     """
 
     calibration: Annotated[str, Kept("identity/calibration")]

@@ -76,10 +76,10 @@ class RelaxationKernel:
     loading : True after a press, False after a release.
     weights : (k,) w, relative to the steady or the released change; none where nothing relaxes.
     time_constants_s : (k,) τ rising [s].
-    covariance : (2 k, 2 k) of (w, log τ): how well their means are known.
+    covariance : (2 k, 2 k) covariance of (w, log τ): how well their means are known.
     scatter : (k,) standard deviation of each weight from load to load, beyond what noise explains.
     scatter_freedom : degrees of freedom of these: how well the scatter itself is known.
-    loads : how many the kernel was learned from.
+    loads : number of loads that the kernel was learned from.
     start_s : frames before this are not described by it (an unloading spike) [s].
     why : why there is no kernel; empty if there is one.
     """

@@ -94,11 +94,11 @@ class Page:
 
     Parameters
     ----------
-    kind : for example ``"Test report"``.
-    subject : what it is about: a serial number, a file name.
+    kind : kind of page, for example ``"Test report"``.
+    subject : subject of the page: a serial number, a file name.
     identity : (name, value) pairs, in reading order.
-    simulated : what was simulated, in words; empty for a real bench.
-    warnings : what may change a decision.
+    simulated : simulated parts in words; empty for a real bench.
+    warnings : warnings that may change a decision.
     remarks : worth knowing, nothing to worry about.
     printed : (name, value) pairs for a terminal alone, never wrapped: files, and commands to type.
     """
@@ -124,7 +124,7 @@ class CommandOutcome(Generic[R]):
     ----------
     result : a dataclass whose field names are the documented JSON keys.
     page, sections : content for people.
-    exit_code : of the command.
+    exit_code : exit code of the command.
     """
 
     result: R

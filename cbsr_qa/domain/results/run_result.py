@@ -22,8 +22,8 @@ class RunResult:
     observation : None where the run ended before anything could be analysed.
     calibration : None if not issued; ``calibration_why`` then gives the reason.
     compute_s : seconds of computing by stage.
-    limits_version : of those limits that carry one.
-    characterisation : of the material, where the recipe is for that; there is no observation then.
+    limits_version : version of those limits that carry one.
+    characterisation : characterisation of the material, where the recipe is for that; there is no observation then.
     station_check : the station's latest one when the run began; None if never checked.
     station_charts : state of the station's control charts with this run; None without a reference.
     history : changes of the run's files since its sensor type last passed its recipe.

@@ -14,7 +14,7 @@ class Signature:
 
     Parameters
     ----------
-    public_key : of the signer, 32 bytes in hexadecimal digits.
+    public_key : public key of the signer, 32 bytes in hexadecimal digits.
     signed_at : ISO time in UTC, as the signer stated it.
     signature : 64 bytes in hexadecimal digits.
     """

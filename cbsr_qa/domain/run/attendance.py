@@ -59,8 +59,8 @@ class Pause:
     Parameters
     ----------
     phase : index of the phase it was in.
-    started_s, ended_s : on the run's clock [s]; no end if the run ended or was cut off in it.
-    by, continued_by : who asked for its start and its end; the latter is empty without an end.
+    started_s, ended_s : start and end on the run's clock [s]; no end if the run ended or was cut off in it.
+    by, continued_by : people who asked for its start and its end; the latter is empty without an end.
     """
 
     phase: int
@@ -80,7 +80,8 @@ class AskedPrompt:
 
     Parameters
     ----------
-    shown_s, answered_s : on the run's clock [s]; no answer if the run ended or was cut off before.
+    shown_s, answered_s : times of question and answer on the run's clock [s]; no answer if the run ended or was cut
+        off before.
     answer, by : empty without an answer.
     """
 
@@ -111,10 +112,10 @@ def prompts_of(events: Iterable[AttendanceEvent]) -> tuple[AskedPrompt, ...]:
     prompts: dict[int, AskedPrompt] = {}
     for event in events:
         if isinstance(event, PromptShown):
-            shown = (event.phase, event.prompt, event.text, event.picture, event.time_s)
-            prompts[event.prompt] = AskedPrompt(*shown)
+            prompt_fields = (event.phase, event.prompt, event.text, event.picture, event.time_s)
+            prompts[event.prompt] = AskedPrompt(*prompt_fields)
         elif isinstance(event, PromptAnswered) and event.prompt in prompts:
             asked = prompts[event.prompt]
-            shown = (asked.phase, asked.prompt, asked.text, asked.picture, asked.shown_s)
-            prompts[event.prompt] = AskedPrompt(*shown, event.time_s, event.answer, event.by)
+            prompt_fields = (asked.phase, asked.prompt, asked.text, asked.picture, asked.shown_s)
+            prompts[event.prompt] = AskedPrompt(*prompt_fields, event.time_s, event.answer, event.by)
     return tuple(prompts.values())

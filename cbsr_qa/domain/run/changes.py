@@ -22,10 +22,12 @@ class EarlierRun:
 
     Parameters
     ----------
-    outcome, reason : of its latest analysis after its last session; None and empty where it has none.
+    outcome, reason : outcome and reason of its latest analysis after its last session; None and empty where it has
+        none.
     overridden : outcome of an override, and its operator; or None.
-    of_check : whether it belongs to a check of a station.
-    changed : what is not as it was stored; nothing but name, day and recipe is then known. Empty where nothing is.
+    of_check : whether the run belongs to a check of a station.
+    changed : description of what is not as it was stored; only name, day and recipe are then known. Empty where
+        nothing is.
     chained : whether changed rows of it would be noticed.
     """
 
@@ -61,9 +63,9 @@ class EarlierRun:
             return f"{self.day} {self.end}"
         if self.outcome is None:
             return f"{self.day} no result"
-        why = "" if self.outcome is Outcome.PASS else f" ({self.reason.partition(' (allowed')[0]})"
+        reason = "" if self.outcome is Outcome.PASS else f" ({self.reason.partition(' (allowed')[0]})"
         decided = "" if self.overridden is None else f", overridden to {self.overridden[0]} by {self.overridden[1]}"
-        return f"{self.day} {self.outcome}{why}{decided}"
+        return f"{self.day} {self.outcome}{reason}{decided}"
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,7 +74,7 @@ class SensorHistory:
 
     Parameters
     ----------
-    sensor, recipe : of the run itself.
+    sensor, recipe : sensor and recipe of the run itself.
     earlier : oldest first.
     """
 
@@ -83,7 +85,7 @@ class SensorHistory:
     @property
     def tries(self) -> tuple[EarlierRun, ...]:
         """Earlier runs of the same recipe, station checks excluded."""
-        return tuple(one for one in self.earlier if one.recipe == self.recipe and not one.of_check)
+        return tuple(run for run in self.earlier if run.recipe == self.recipe and not run.of_check)
 
     @property
     def ordinal(self) -> str:
@@ -97,20 +99,22 @@ class SensorHistory:
     @property
     def words(self) -> str:
         """Ordinal of this try and earlier runs; empty if there are none."""
-        checks = [one for one in self.earlier if one.of_check]
-        others = [one for one in self.earlier if one.recipe != self.recipe and not one.of_check]
-        parts = []
-        if self.tries or others:
-            parts.append(f"{self.ordinal} test with this recipe")
+        checks = [run for run in self.earlier if run.of_check]
+        other_runs = [run for run in self.earlier if run.recipe != self.recipe and not run.of_check]
+        sentences = []
+        if self.tries or other_runs:
+            sentences.append(f"{self.ordinal} test with this recipe")
         if self.tries:
-            before = len(self.tries) - _TOLD
-            more = f", and {before} before" if before > 0 else ""
-            parts.append(f"earlier: {', '.join(one.words for one in self.tries[-_TOLD:])}{more}")
-        if others:
-            parts.append(f"{_runs(others)} of other recipes, the latest ({others[-1].recipe}) {others[-1].words}")
+            earlier_count = len(self.tries) - _TOLD
+            earlier_words = f", and {earlier_count} before" if earlier_count > 0 else ""
+            sentences.append(f"earlier: {', '.join(run.words for run in self.tries[-_TOLD:])}{earlier_words}")
+        if other_runs:
+            sentences.append(
+                f"{_runs(other_runs)} of other recipes, the latest ({other_runs[-1].recipe}) {other_runs[-1].words}"
+            )
         if checks:
-            parts.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
-        return "; ".join(parts)
+            sentences.append(f"{_runs(checks)} in checks of stations, the latest {checks[-1].words}")
+        return "; ".join(sentences)
 
     @property
     def warnings(self) -> tuple[str, ...]:
@@ -120,24 +124,24 @@ class SensorHistory:
     def changed(self) -> tuple[str, ...]:
         """Describe earlier runs whose stored rows were changed."""
         return tuple(
-            f"an earlier run was changed since it was stored: {one.changed}" for one in self.earlier if one.changed
+            f"an earlier run was changed since it was stored: {run.changed}" for run in self.earlier if run.changed
         )
 
     @property
     def differences(self) -> tuple[str, ...]:
         """Report earlier runs with another batch or type; an unknown batch differs from none."""
         return tuple(
-            f"sensor {self.sensor.serial}: {what} {now!r} now; {', '.join(others)}:"
+            f"sensor {self.sensor.serial}: {noun} {current_value!r} now; {', '.join(differing)}:"
             " one is wrong, or two sensors have this serial number"
-            for what, now, stated in (
-                ("batch", self.sensor.batch, [(one.sensor.batch, one) for one in self.earlier]),
-                ("type", self.sensor.sensor_type, [(one.sensor.sensor_type, one) for one in self.earlier]),
+            for noun, current_value, stated_values in (
+                ("batch", self.sensor.batch, [(run.sensor.batch, run) for run in self.earlier]),
+                ("type", self.sensor.sensor_type, [(run.sensor.sensor_type, run) for run in self.earlier]),
             )
             if (
-                others := [
-                    f"its run of {one.day} says {before!r}"
-                    for before, one in dict(stated).items()
-                    if now and before and before != now
+                differing := [
+                    f"its run of {run.day} says {earlier_value!r}"
+                    for earlier_value, run in dict(stated_values).items()
+                    if current_value and earlier_value and earlier_value != current_value
                 ]
             )
         )
@@ -148,7 +152,7 @@ def _runs(some: Iterable[EarlierRun]) -> str:
     return f"{count} run{'' if count == 1 else 's'}"
 
 
-#: Stored and shown if no reason was given.
+#: Text that is stored and shown if no reason was given.
 NO_REASON: Final = "no reason given"
 
 #: Fields that tell the tables of a list apart, in the order they are named.
@@ -170,8 +174,8 @@ class Difference:
 
     Parameters
     ----------
-    key : as in the file, tables of a list by their names: ``"limits[drift].upper"``.
-    before, after : as JSON; None where the key was not there.
+    key : key as in the file, tables of a list by their names: ``"limits[drift].upper"``.
+    before, after : values as JSON; None where the key was not there.
     """
 
     key: str
@@ -195,11 +199,11 @@ class ConfigurationChange:
 
     Parameters
     ----------
-    run, earlier_run : that used the new content, and the latest one that used the old.
+    run, earlier_run : run that used the new content, and the latest one that used the old.
     old_digest, new_digest : SHA-256 of the contents.
     differences : key by key, limits first.
     by, at : operator of the run, and when it began.
-    why : in the operator's words, or :data:`NO_REASON`.
+    why : reason in the operator's words, or :data:`NO_REASON`.
     """
 
     run: str
@@ -215,9 +219,9 @@ class ConfigurationChange:
 
     def words(self, most: int = 3) -> str:
         """Describe the changes, with at most this many differences."""
-        shown = "; ".join(one.words for one in self.differences[:most])
+        listed = "; ".join(difference.words for difference in self.differences[:most])
         more = len(self.differences) - most
-        return f"{shown}; and {more} more" if more > 0 else shown
+        return f"{listed}; and {more} more" if more > 0 else listed
 
 
 @dataclass(frozen=True, slots=True)
@@ -229,7 +233,7 @@ class ChangeHistory:
     accepted_run : the latest earlier run of the sensor type with the recipe that passed; empty without one, and
         ``changes`` are then all there are.
     changes : oldest first; those of the run itself among them.
-    altered : what is wrong with runs whose changes are left out, because they do not match their chains.
+    altered : problems of runs whose changes are left out, because they do not match their chains.
     """
 
     accepted_run: str = ""
@@ -238,7 +242,9 @@ class ChangeHistory:
 
     @property
     def warnings(self) -> tuple[str, ...]:
-        return tuple(f"changes of files noted with an earlier run are not shown: {one}" for one in self.altered)
+        return tuple(
+            f"changes of files noted with an earlier run are not shown: {problem}" for problem in self.altered
+        )
 
     def changes_in(self, run: str) -> tuple[ConfigurationChange, ...]:
         return tuple(change for change in self.changes if change.run == run)
@@ -250,9 +256,9 @@ class VerdictOverride:
 
     Parameters
     ----------
-    analysis, verdict : whose verdict it overrides, and what that was.
+    analysis, verdict : analysis whose verdict it overrides, and that verdict.
     outcome : passed or failed.
-    by, at, why : who decided, when, and for what reason.
+    by, at, why : person who decided, time and reason.
     """
 
     override: str
@@ -288,17 +294,17 @@ def _leaves(at: str, content: Any) -> Iterator[tuple[str, str]]:
     if isinstance(content, Mapping) and content:
         for key, value in content.items():
             yield from _leaves(f"{at}.{key}" if at else str(key), value)
-    elif isinstance(content, list) and content and all(isinstance(one, Mapping) for one in content):
-        for label, one in zip(_labels(content), content, strict=True):
-            yield from _leaves(f"{at}[{label}]", one)
+    elif isinstance(content, list) and content and all(isinstance(table, Mapping) for table in content):
+        for label, table in zip(_labels(content), content, strict=True):
+            yield from _leaves(f"{at}[{label}]", table)
     else:
         yield at, json.dumps(content, ensure_ascii=False, sort_keys=True)
 
 
 def _labels(tables: Sequence[Mapping[str, Any]]) -> list[str]:
     """Name each table of a list by its key, and by its number if two share it."""
-    found: list[str] = []
+    labels: list[str] = []
     for number, table in enumerate(tables, start=1):
-        named = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)
-        found.append(f"{named}, {number}" if named in found else named)
-    return found
+        label = ", ".join(str(table[key]) for key in _NAMED_BY if table.get(key)) or str(number)
+        labels.append(f"{label}, {number}" if label in labels else label)
+    return labels

@@ -44,10 +44,10 @@ def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
 
     Times are seconds on the run's clock. Frames and samples are summarised.
     """
-    given = asdict(
+    fields = asdict(
         document_of(event), dict_factory=lambda pairs: {key: value for key, value in pairs if value is not None}
     )
-    document: dict[str, Any] = json.loads(json.dumps(given, default=_number, allow_nan=False))
+    document: dict[str, Any] = json.loads(json.dumps(fields, default=_number, allow_nan=False))
     return document
 
 
@@ -85,17 +85,17 @@ class RunStartedDocument:
 
 @document_of.register
 def _run_started(event: RunStarted) -> RunStartedDocument:
-    who = event.identity
+    identity = event.identity
     return fill_from_object(
         RunStartedDocument,
-        who,
+        identity,
         type="run_started",
         schema_version=EVENT_SCHEMA_VERSION,
-        serial=who.sensor.serial,
-        batch=who.sensor.batch,
-        sensor_type=who.sensor.sensor_type,
-        started_at=who.started_at.isoformat(),
-        software=dict(who.software),
+        serial=identity.sensor.serial,
+        batch=identity.sensor.batch,
+        sensor_type=identity.sensor.sensor_type,
+        started_at=identity.started_at.isoformat(),
+        software=dict(identity.software),
     )
 
 

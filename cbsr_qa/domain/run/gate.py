@@ -25,11 +25,11 @@ class GateAnswer:
 
     Parameters
     ----------
-    words : what was found, as a clause that begins in lower case or with a name.
-    remedy : what to do about it; empty where nothing is to be done.
-    by, why : who overrode a refusal, for what reason; empty otherwise.
+    words : finding as a clause that begins in lower case or with a name.
+    remedy : remedy; empty where nothing needs doing.
+    by, why : person who overrode a refusal, and the reason; empty otherwise.
     session : 0 when the run began; counts its resumptions.
-    command : how the remedy is done at the command line; not stored.
+    command : command that does the remedy; not stored.
     """
 
     check: GateCheck
@@ -57,7 +57,7 @@ class GateAnswer:
 def gate_warnings(answers: Iterable[GateAnswer]) -> tuple[str, ...]:
     """Return a warning for every check that did not pass."""
     noted = (GateOutcome.WARNED, GateOutcome.OVERRIDDEN)
-    return tuple(f"gate, {one.check}: {one.sentence}" for one in answers if one.outcome in noted)
+    return tuple(f"gate, {answer.check}: {answer.sentence}" for answer in answers if answer.outcome in noted)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Release:
 
     Parameters
     ----------
-    kind, name : of the file: ``"recipe"``, ``"nine-locations"``.
+    kind, name : kind and name of the file: ``"recipe"``, ``"nine-locations"``.
     sha256 : digest of its content.
     """
 

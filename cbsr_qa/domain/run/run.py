@@ -60,7 +60,7 @@ class ChainState:
         return () if self.chained else (f"rows of this run: {self.words}",)
 
 
-#: Of a run whose chain was removed.
+#: State of a run whose chain was removed.
 UNCHAINED: Final = ChainState()
 
 
@@ -70,12 +70,12 @@ class InstrumentIdentity:
 
     Parameters
     ----------
-    role : in the station file.
+    role : role in the station file.
     driver : name of the plugin.
-    model, serial, firmware : as the instrument reports them.
+    model, serial, firmware : identity as the instrument reports it.
     simulated : whether no real instrument is behind it.
     calibration_due : ISO date; None if not stated.
-    notes : what else traces it, as (what, value) in words: its address, a tare, a dead-weight check.
+    notes : further facts that trace it, as (what, value) in words: its address, a tare, a dead-weight check.
     """
 
     role: str
@@ -100,8 +100,8 @@ class RunIdentity:
     started_at : wall clock, with time zone.
     configuration_digest : SHA-256 of the merged configuration.
     software : distribution name → version, of this package, its plugins and its numerical libraries.
-    instruments : on the bench.
-    simulated : in words, what was simulated; empty for a real bench.
+    instruments : instruments on the bench.
+    simulated : simulated parts in words; empty for a real bench.
     """
 
     run: str
@@ -138,9 +138,9 @@ class PhaseRecord:
     Parameters
     ----------
     index, name, sequence : order, the recipe's name for it, the plugin that made its steps.
-    started_s, ended_s : on the run's clock [s].
+    started_s, ended_s : start and end on the run's clock [s].
     frames : every frame of the phase, or None.
-    samples : one joined block per channel.
+    samples : joined blocks, one per channel.
     loads : the presses held to their end, but for loops: one press is one strain.
     loops : the presses that were eased to other strains before the release (see ``StrainStep``), as they were.
     unloaded_from_s : time from which the sheet counted as rested (see ``MarkUnloaded``), or None.
@@ -170,10 +170,10 @@ class RunSession:
 
     Parameters
     ----------
-    started_s, ended_s : on the run's time line [s]; no end if interrupted.
-    end, detail : how it ended; RUNNING if interrupted.
-    operator, software : of its start or resumption; empty if not recorded.
-    noted_at : when by the wall clock, for people; None if not recorded.
+    started_s, ended_s : start and end on the run's time line [s]; no end if interrupted.
+    end, detail : end of the session, and its details; RUNNING if interrupted.
+    operator, software : operator and software of its start or resumption; empty if not recorded.
+    noted_at : time by the wall clock, for people; None if not recorded.
     """
 
     started_s: float
@@ -191,14 +191,14 @@ class RunRecord:
 
     Parameters
     ----------
-    identity, sensor_type, material, indenter : what was tested, how.
-    phases : in the order they were run.
-    end : how it ended.
-    end_detail : by whom it was aborted, or which rule or instrument broke it.
+    identity, sensor_type, material, indenter : run, sensor type, material and head of the test.
+    phases : phases in the order they were run.
+    end : reason why it ended.
+    end_detail : person who aborted it, or rule or instrument that broke it.
     station_s : time the sensor occupied the station [s].
-    sessions : in order; one where the run was not interrupted.
+    sessions : sessions in order; one where the run was not interrupted.
     set_aside : frames that are stored and do not count: a load that was cut off was pressed again.
-    pauses, prompts : in the order they began.
+    pauses, prompts : pauses and prompts in the order they began.
     chain : state of the digests it is under, checked when it was loaded.
     gate : answers of the checks before the run, and of those asked again when it was resumed.
     chain_head : digest of the last link that was checked then; empty where the run has no chain.
@@ -232,8 +232,8 @@ class RunRecord:
         for phase in self.phases:
             if phase.name == name:
                 return phase
-        known = ", ".join(phase.name for phase in self.phases) or "none"
-        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; phases: {known}")
+        known_phases = ", ".join(phase.name for phase in self.phases) or "none"
+        raise RefusedError(f"run {self.identity.run} has no phase {name!r}; phases: {known_phases}")
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,7 +14,7 @@ class EndReason(StrEnum):
 
 
 class ResultState(StrEnum):
-    """What has come of a run: of its last session, and of the analysis after it."""
+    """State of a run: of its last session, and of the analysis after it."""
 
     OPEN = "open"  #: under way, or cut off
     STOPPED = "stopped"  #: aborted or broken
@@ -27,7 +27,7 @@ class ResultState(StrEnum):
 
         Parameters
         ----------
-        end : of its last session.
+        end : end of its last session.
         analysed : whether an analysis was stored after that session.
         """
         if end is EndReason.RUNNING:

@@ -19,7 +19,7 @@ class CheckOutcome(StrEnum):
     NOT_DONE = "not done"  #: not requested, or impossible at this station; never a pass
 
 
-#: From worst to best: a check is as good as its worst line.
+#: Outcomes from worst to best: a check is as good as its worst line.
 _SEVERITY = (CheckOutcome.FAILED, CheckOutcome.WARNING, CheckOutcome.OK, CheckOutcome.NOT_DONE)
 
 
@@ -29,11 +29,11 @@ class CheckResult:
 
     Parameters
     ----------
-    name : what was looked at, e.g. ``"gain error"``.
+    name : name of what was looked at, e.g. ``"gain error"``.
     value : a number, where it is one; never NaN.
-    unit : of the value; empty where it has none.
-    allowed : what the value may be, in words; empty where nothing limits it.
-    remedy : what to do about it; empty where it is well.
+    unit : unit of the value; empty where it has none.
+    allowed : allowed values in words; empty where nothing limits the value.
+    remedy : remedy; empty where all is well.
     said : the finding in words, where a number does not say it all.
     subject : whom it is about: a role of the station file, ``"reference ring"``, ``"golden sensor S-7"``.
     """
@@ -74,10 +74,10 @@ class StationCheck:
     configuration_digest : SHA-256 of the merged configuration it was checked with.
     software : distribution name → version.
     instruments : those that answered, as they identified themselves.
-    golden_run : of the golden sensor, where one was measured.
+    golden_run : run of the golden sensor, where one was measured.
     sealed : state of its seal.
-    altered : what does not match the seal; the check has one line then, which says so, and has failed. Empty where
-        nothing does.
+    altered : description of what does not match the seal; the check has one line then, which says so, and has failed.
+        Empty where nothing does.
     """
 
     check: str

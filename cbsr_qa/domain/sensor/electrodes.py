@@ -139,20 +139,20 @@ class PlacedElectrodes:
         place = self.positions_mm()
         directions = np.arctan2(place[:, 1], place[:, 0])
         ahead = (directions - np.arctan2(y, x)) % (2 * np.pi)
-        after, before = int(ahead.argmin()), int(ahead.argmax())
-        gap = ahead[after] + 2 * np.pi - ahead[before]
-        share = 1 - float(ahead[after] / gap) if gap > 0 else 0.0
-        step = (after - before + self.count // 2) % self.count - self.count // 2
+        electrode_after, electrode_before = int(ahead.argmin()), int(ahead.argmax())
+        gap = ahead[electrode_after] + 2 * np.pi - ahead[electrode_before]
+        share = 1 - float(ahead[electrode_after] / gap) if gap > 0 else 0.0
+        step = (electrode_after - electrode_before + self.count // 2) % self.count - self.count // 2
         if abs(step) == 1:
-            return (before + step * share) % self.count
-        return float(after if share > 0.5 else before)
+            return (electrode_before + step * share) % self.count
+        return float(electrode_after if share > 0.5 else electrode_before)
 
 
-#: Either way to say where electrodes are.
+#: Electrodes by either kind of layout.
 Electrodes = ElectrodeLayout | PlacedElectrodes
 
 
-#: How far from the edge the stated centre of a strip may lie, of its length.
+#: Largest distance of the stated centre of a strip from the edge, as a share of its length.
 _OFF_EDGE: Final = 0.05
 #: Least room between a pin and the edge or another pin, of its diameter: elements have to fit in, and go round.
 LEAST_ROOM: Final = 0.05
@@ -165,7 +165,7 @@ LEAST_WIDTH: Final = 1e-3
 def placement_problems(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int | None, str]]:
     """Yield problems of electrodes on a sheet: the electrode (None for a whole ring) and a description.
 
-    Equally spaced arcs belong to a disc; every other combination of electrodes and outline is looked at one by one.
+    Equally spaced arcs belong to a disc; all other electrodes are checked one by one.
     """
     if isinstance(electrodes, PlacedElectrodes):
         check = _pins if electrodes.kind is ElectrodeKind.PIN else _strips
@@ -188,13 +188,13 @@ def width_problem(electrodes: Electrodes, radius_mm: float) -> str | None:
     if not isinstance(electrodes, ElectrodeLayout):
         return None
     if electrodes.kind is ElectrodeKind.PIN:
-        room, apart = LEAST_ROOM, 2 * electrodes.ring_radius_mm * float(np.sin(np.pi / electrodes.count))
+        room, pitch = LEAST_ROOM, 2 * electrodes.ring_radius_mm * float(np.sin(np.pi / electrodes.count))
     else:
-        room, apart = LEAST_STRIP_ROOM, 2 * np.pi * electrodes.ring_radius_mm / electrodes.count
-    if width * (1 + room) <= apart:
+        room, pitch = LEAST_STRIP_ROOM, 2 * np.pi * electrodes.ring_radius_mm / electrodes.count
+    if width * (1 + room) <= pitch:
         return None
     return (
-        f"is {width:g}; electrodes whose centres are {apart:.4g} mm apart are at most {apart / (1 + room):.6g} mm"
+        f"is {width:g}; electrodes whose centres are {pitch:.4g} mm apart are at most {pitch / (1 + room):.6g} mm"
         f" wide, with a gap of {room:g} of the width"
     )
 
@@ -214,15 +214,15 @@ def _pins(electrodes: Electrodes, outline: SheetOutline) -> Iterator[tuple[int, 
             needed = width * (0.5 + LEAST_ROOM)
             yield number, f"lies {room:.4g} mm from the edge; a pin of {width:g} mm needs {needed:g} mm"
     for number, place in enumerate(places):
-        apart = np.hypot(*(places[:number] - place).T)
-        if apart.size and apart.min() <= width:
-            other = int(apart.argmin())
-            yield number, f"overlaps electrode {other}: their centres are {apart[other]:.4g} mm apart"
-        elif apart.size and apart.min() < width * (1 + LEAST_ROOM):
-            other, needed = int(apart.argmin()), width * (1 + LEAST_ROOM)
+        pitch = np.hypot(*(places[:number] - place).T)
+        if pitch.size and pitch.min() <= width:
+            near = int(pitch.argmin())
+            yield number, f"overlaps electrode {near}: their centres are {pitch[near]:.4g} mm apart"
+        elif pitch.size and pitch.min() < width * (1 + LEAST_ROOM):
+            near, needed = int(pitch.argmin()), width * (1 + LEAST_ROOM)
             yield (
                 number,
-                f"is too close to electrode {other}: between centres are {apart[other]:.8g} mm, pins of {width:g} mm"
+                f"is too close to electrode {near}: between centres are {pitch[near]:.8g} mm, pins of {width:g} mm"
                 f" need {needed:g} mm",
             )
 
@@ -234,19 +234,19 @@ def _strips(electrodes: PlacedElectrodes, outline: SheetOutline) -> Iterator[tup
         if distance > _OFF_EDGE * width:
             yield number, f"lies {distance:.4g} mm from the edge, where its centre must be"
     for number, place in enumerate(along):
-        apart = np.abs(along[:number] - place)
-        apart = np.minimum(apart, curve.perimeter - apart)
-        if apart.size and apart.min() <= width:
-            other = int(apart.argmin())
+        pitch = np.abs(along[:number] - place)
+        pitch = np.minimum(pitch, curve.perimeter - pitch)
+        if pitch.size and pitch.min() <= width:
+            near = int(pitch.argmin())
             yield (
                 number,
-                f"overlaps electrode {other}: their centres are {apart[other]:.4g} mm apart along the edge",
+                f"overlaps electrode {near}: their centres are {pitch[near]:.4g} mm apart along the edge",
             )
-        elif apart.size and apart.min() < width * (1 + LEAST_STRIP_ROOM):
-            other, needed = int(apart.argmin()), width * (1 + LEAST_STRIP_ROOM)
+        elif pitch.size and pitch.min() < width * (1 + LEAST_STRIP_ROOM):
+            near, needed = int(pitch.argmin()), width * (1 + LEAST_STRIP_ROOM)
             yield (
                 number,
-                f"is too close to electrode {other}: between centres are {apart[other]:.8g} mm along the edge, strips"
+                f"is too close to electrode {near}: between centres are {pitch[near]:.8g} mm along the edge, strips"
                 f" of {width:g} mm need {needed:g} mm",
             )
     if width >= curve.perimeter / 2:

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import Array, real_numbers
 
-#: Farthest a node may be from the sheet's centre [mm]; products of lengths stay far from overflow.
+#: Largest distance of a node from the sheet's centre [mm]; products of lengths stay far from overflow.
 FARTHEST_MM: Final = 1e9
 _OFF_CIRCLE = 1e-6  # how far a node may be off its circle, of the radius
 
@@ -27,7 +27,7 @@ class CircleArcs:
     Parameters
     ----------
     edges : (k, 2) int64, pairs of nodes on the circle, less than half a turn apart.
-    centre_mm, radius_mm : of the circle.
+    centre_mm, radius_mm : centre and radius of the circle [mm].
     """
 
     edges: NDArray[np.int64]
@@ -68,10 +68,10 @@ class Mesh:
         check_places(real_numbers(self.nodes_mm, "nodes"))
         if self.elements.size and not 0 <= self.elements.min() <= self.elements.max() < len(self.nodes_mm):
             raise RefusedError("a mesh element names a node outside the mesh", remedy="number nodes from 0")
-        flat = np.flatnonzero(self.areas_mm2 <= 0)
-        if flat.size:
+        flat_elements = np.flatnonzero(self.areas_mm2 <= 0)
+        if flat_elements.size:
             raise RefusedError(
-                f"mesh element {flat[0]} (of {flat.size}) is clockwise or has no area",
+                f"mesh element {flat_elements[0]} (of {flat_elements.size}) is clockwise or has no area",
                 remedy="list its nodes counterclockwise, or leave it out",
             )
         for arcs in self.arcs:
@@ -88,8 +88,8 @@ class Mesh:
     def areas_mm2(self) -> Array:
         """Areas of the elements, (e,) [mm²]."""
         first, second, third = np.moveaxis(self.nodes_mm[self.elements], 1, 0)
-        one, other = second - first, third - first
-        area: Array = (one[:, 0] * other[:, 1] - one[:, 1] * other[:, 0]) / 2
+        first_edge, second_edge = second - first, third - first
+        area: Array = (first_edge[:, 0] * second_edge[:, 1] - first_edge[:, 1] * second_edge[:, 0]) / 2
         return area
 
     @cached_property
@@ -113,9 +113,9 @@ class Mesh:
         """Pairs of elements that share an edge, (p, 2) int64."""
         edge = self.element_edges.ravel()
         order = np.argsort(edge, kind="stable")
-        same = np.flatnonzero(edge[order][1:] == edge[order][:-1])
+        shared_edges = np.flatnonzero(edge[order][1:] == edge[order][:-1])
         element = order // 3
-        return np.column_stack([element[same], element[same + 1]]).astype(np.int64)
+        return np.column_stack([element[shared_edges], element[shared_edges + 1]]).astype(np.int64)
 
     @cached_property
     def outline(self) -> NDArray[np.int64]:
@@ -140,10 +140,10 @@ def check_places(nodes_mm: Array) -> None:
     RefusedError
         Naming the first.
     """
-    wrong = np.flatnonzero(~(np.abs(nodes_mm) <= FARTHEST_MM).all(axis=-1))
-    if wrong.size:
+    far = np.flatnonzero(~(np.abs(nodes_mm) <= FARTHEST_MM).all(axis=-1))
+    if far.size:
         raise RefusedError(
-            f"mesh node {wrong[0]} (one of {wrong.size} such) is at {nodes_mm[wrong[0]].tolist()} mm; places are"
+            f"mesh node {far[0]} (one of {far.size} such) is at {nodes_mm[far[0]].tolist()} mm; places are"
             f" finite numbers up to {FARTHEST_MM:g} mm",
             remedy="give nodes in mm from the sheet's centre",
         )
@@ -159,7 +159,7 @@ NAMES = (
     "arc_edge_counts",
     "arc_circles",
 )
-#: Those that are whole numbers; the others are float64.
+#: Names of the arrays of whole numbers; the others are float64.
 INTEGERS = ("elements", "electrode_edges", "electrode_edge_counts", "arc_edges", "arc_edge_counts")
 
 
@@ -197,10 +197,10 @@ def mesh_of_arrays(arrays: Mapping[str, Any]) -> Mesh:
     arcs: tuple[CircleArcs, ...] = ()
     if "arc_edges" in arrays:
         circles = _array(arrays, "arc_circles", 3)
-        parts = edge_lists(arrays, "arc")
-        if len(parts) != len(circles):
-            raise RefusedError(f"{len(parts)} lists of a mesh's arcs do not fit {len(circles)} circles")
-        arcs = tuple(CircleArcs(e, (x, y), r) for e, (x, y, r) in zip(parts, circles.tolist(), strict=True))
+        edges_of_arcs = edge_lists(arrays, "arc")
+        if len(edges_of_arcs) != len(circles):
+            raise RefusedError(f"{len(edges_of_arcs)} lists of a mesh's arcs do not fit {len(circles)} circles")
+        arcs = tuple(CircleArcs(e, (x, y), r) for e, (x, y, r) in zip(edges_of_arcs, circles.tolist(), strict=True))
     for part in (*edges, *(a.edges for a in arcs)):
         if part.size and not 0 <= part.min() <= part.max() < len(nodes):
             raise RefusedError("an electrode or an arc names a node that is not in the mesh")

@@ -15,7 +15,7 @@ from cbsr_qa.domain.numbers import Array, is_whole
 #: Coefficients by unknown; none is zero.
 Functional = dict[tuple[int, int], int]
 
-#: Of the largest: eigenvalues below count as zero. Coefficients are small whole numbers.
+#: Share of the largest eigenvalue below which others count as zero. Coefficients are small whole numbers.
 _ZERO: Final = 1e-10
 
 
@@ -29,19 +29,19 @@ def rank_of(functionals: Sequence[Functional]) -> int:
     for row, functional in enumerate(functionals):
         for unknown in functional:
             holders[unknown].add(row)
-    left = set(range(len(functionals)))
-    free = [unknown for unknown, rows in holders.items() if len(rows) == 1]
-    while free:
-        rows = holders[free.pop()]
+    rows_left = set(range(len(functionals)))
+    free_unknowns = [unknown for unknown, rows in holders.items() if len(rows) == 1]
+    while free_unknowns:
+        rows = holders[free_unknowns.pop()]
         if not rows:
             continue
         (row,) = rows
-        left.discard(row)
+        rows_left.discard(row)
         for unknown in functionals[row]:
             holders[unknown].discard(row)
             if len(holders[unknown]) == 1:
-                free.append(unknown)
-    core = [functionals[row] for row in sorted(left)]
+                free_unknowns.append(unknown)
+    core = [functionals[row] for row in sorted(rows_left)]
     return len(functionals) - len(core) + _dense_rank(core)
 
 
@@ -61,7 +61,7 @@ def _dense_rank(functionals: Sequence[Functional]) -> int:
 Pair = tuple[int, int]
 Pairs = tuple[Pair, ...]
 
-#: Fewer independent readings than this leave nothing that deserves to be called an image.
+#: Fewest independent readings for a meaningful image.
 FEWEST_INDEPENDENT: Final = 8
 
 
@@ -69,7 +69,7 @@ FEWEST_INDEPENDENT: Final = 8
 class DrivePattern:
     """Drive and measure pairs. Frames are stored as (drive, measure), independent of the scan order.
 
-    A pair may be there again, or reversed: rigs repeat injections against noise and turn the current round to tell
+    A pair may occur again, or reversed: rigs repeat injections against noise and reverse the current to tell
     offsets from signal. Each of the readings has noise of its own; it adds no independent reading.
 
     Parameters
@@ -91,11 +91,11 @@ class DrivePattern:
 
     def __post_init__(self) -> None:
         for kind, pairs in (("drive", self.drive), ("measure", self.measure)):
-            wrong = next(pair_problems(pairs, self.electrode_count), None)
-            if wrong is not None:
-                index, what = wrong
+            problem = next(pair_problems(pairs, self.electrode_count), None)
+            if problem is not None:
+                index, problem_words = problem
                 where = "" if index is None else f"pair {index + 1} {pairs[index]} of "
-                raise RefusedError(f"{where}the {kind} pattern {what}")
+                raise RefusedError(f"{where}the {kind} pattern {problem_words}")
 
     @property
     def shape(self) -> tuple[int, int]:
@@ -134,9 +134,9 @@ class DrivePattern:
 
     def touching(self, electrodes: Sequence[int]) -> NDArray[np.bool_]:
         """Readings (drive pairs, measure pairs) bool that drive or measure with some electrodes."""
-        chosen = list(electrodes)
-        driven = (self.drive_currents()[chosen] != 0).any(axis=0)
-        measured = (self.measure_matrix()[chosen] != 0).any(axis=0)
+        indices = list(electrodes)
+        driven = (self.drive_currents()[indices] != 0).any(axis=0)
+        measured = (self.measure_matrix()[indices] != 0).any(axis=0)
         touching: NDArray[np.bool_] = driven[:, None] | measured
         return touching
 
@@ -169,9 +169,9 @@ class DrivePattern:
         group, sign = groups.ravel(), signs.ravel()
         _, first = np.unique(group, return_index=True)
         of_first = first[group]
-        other = np.flatnonzero(of_first != np.arange(group.size))
-        equal: Array = sign[of_first[other]] * sign[other]
-        return np.column_stack([of_first[other], other]).astype(np.int64), equal
+        repeated = np.flatnonzero(of_first != np.arange(group.size))
+        equal: Array = sign[of_first[repeated]] * sign[repeated]
+        return np.column_stack([of_first[repeated], repeated]).astype(np.int64), equal
 
     def independent_readings(self, used: NDArray[np.bool_] | None = None) -> int:
         """Count the independent readings: 104 of the 208 of adjacent/adjacent on 16.
@@ -189,7 +189,7 @@ class DrivePattern:
     def too_few_readings(self, used: NDArray[np.bool_]) -> int | None:
         """Number of independent readings if too few for an image, else None.
 
-        Enough are :data:`FEWEST_INDEPENDENT`. They are not counted beyond, which takes long with many electrodes.
+        :data:`FEWEST_INDEPENDENT` are enough. Counting stops there, as it takes long with many electrodes.
 
         Parameters
         ----------
@@ -226,12 +226,12 @@ def list_pairs(name: str, electrode_count: int) -> Pairs:
         )
     widest = (electrode_count - 1) // 2 - 1
     if name == "opposite":
-        half = electrode_count // 2
+        half_way = electrode_count // 2
         if electrode_count % 2:
             raise RefusedError(
                 f"no two of {electrode_count} electrodes are opposite each other", remedy=f"use 'skip-{widest}'"
             )
-        return tuple((k, k + half) for k in range(half))
+        return tuple((k, k + half_way) for k in range(half_way))
     skipped = 0 if name == "adjacent" else int(name.removeprefix("skip-"))
     # Half way round is 'opposite'; further round come the same pairs reversed.
     if skipped > max(widest, 0):
@@ -256,11 +256,11 @@ def pair_problems(pairs: Sequence[Sequence[int]], electrode_count: int) -> Itera
         if uncounted:
             yield index, f"names electrode {uncounted[0]!r}; electrodes have whole numbers"
             continue
-        missing = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
+        unknown_electrodes = [electrode for electrode in pair if not 0 <= electrode < electrode_count]
         if len(pair) != 2:
             yield index, f"has {len(pair)} electrodes instead of two"
-        elif missing:
-            yield index, f"names electrode {missing[0]}; allowed: 0 to {electrode_count - 1}"
+        elif unknown_electrodes:
+            yield index, f"names electrode {unknown_electrodes[0]}; allowed: 0 to {electrode_count - 1}"
         elif pair[0] == pair[1]:
             yield index, f"pairs electrode {pair[0]} with itself"
 
@@ -270,8 +270,8 @@ def imaging_problems(pattern: DrivePattern) -> Iterator[str]:
     named = {electrode for pair in (*pattern.drive, *pattern.measure) for electrode in pair}
     idle = sorted(set(range(pattern.electrode_count)) - named)
     if idle:
-        which = ", ".join(map(str, idle[:6])) + (f" and {len(idle) - 6} more" if len(idle) > 6 else "")
-        yield f"never uses electrode{'s' if len(idle) > 1 else ''} {which}; leave out what is not connected"
+        idle_names = ", ".join(map(str, idle[:6])) + (f" and {len(idle) - 6} more" if len(idle) > 6 else "")
+        yield f"never uses electrode{'s' if len(idle) > 1 else ''} {idle_names}; leave out what is not connected"
     independent = pattern.too_few_readings(pattern.usable())
     if independent is not None:
         yield (
@@ -292,8 +292,8 @@ def _key(drive: Pair, measure: Pair) -> tuple[Pair, Pair]:
 
 def _functionals(pattern: DrivePattern, used: NDArray[np.bool_]) -> list[Functional]:
     """Functionals of the used readings; reciprocal ones share one."""
-    kept = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
-    return [_functional(*key) for key in sorted(kept)]
+    distinct_keys = {_key(pattern.drive[d], pattern.measure[m]) for d, m in np.argwhere(used)}
+    return [_functional(*key) for key in sorted(distinct_keys)]
 
 
 def _functional(first: Pair, second: Pair) -> Functional:

@@ -51,14 +51,14 @@ class SensorType:
 
     Parameters
     ----------
-    name : as in the shipped or the user's file.
-    radius_mm : of the round sheet, or of the disc of equal area: lengths are scaled by it. What asks where the sheet
-        ends asks ``outline``.
+    name : name as in the shipped or the user's file.
+    radius_mm : radius of the round sheet, or of the disc of equal area [mm]: lengths are scaled by it. What asks
+        where the sheet ends asks ``outline``.
     electrodes : their layout; they must lie inside the sheet (pins) or on its edge (arcs, strips).
     pattern : drive and measure pairs of these electrodes.
     response : sign of the conductance change under load.
     polygon : the sheet's outline; None where it is a disc.
-    mesh : of the forward model, made elsewhere; None where one is made for the outline.
+    mesh : mesh of the forward model, made elsewhere; None where one is made for the outline.
 
     Raises
     ------
@@ -117,7 +117,8 @@ class Parameter:
 
     Parameters
     ----------
-    value, stderr : in the unit the material file's key names; ``stderr`` is None if not stated.
+    value, stderr : value and standard error in the unit the material file's key names; ``stderr`` is None if not
+        stated.
     source : a citation, or "chosen by us" with the reason.
     """
 
@@ -134,7 +135,7 @@ class QuasiStatic:
     ----------
     slope : α, per kPa for stress and per unit strain for strain.
     intercept : β, relative.
-    covariance : of slope and intercept, in the product of their units; None if not stated.
+    covariance : covariance of slope and intercept, in the product of their units; None if not stated.
     """
 
     slope: Annotated[Parameter, Kept("slope", OWN)]
@@ -172,7 +173,7 @@ class MeasuredKernel:
     Parameters
     ----------
     weights, time_constants_s : (k,) w and τ [s].
-    covariance : (2 k, 2 k) of (w, log τ).
+    covariance : (2 k, 2 k) covariance of (w, log τ).
     start_s : the first reading came this long after the end of the ramp: before, nothing is known.
     window_s : the last one.
     """
@@ -190,10 +191,10 @@ class StripRelaxation:
 
     Parameters
     ----------
-    loading, unloading : of a unit step; None if not determined.
-    cycles : that it was learned from.
-    least_strain, largest_strain : of these, as fractions.
-    source : where it comes from.
+    loading, unloading : relaxations after a unit step; None if not determined.
+    cycles : number of cycles that it was learned from.
+    least_strain, largest_strain : least and largest strain of these, as fractions.
+    source : origin of the values.
     """
 
     loading: MeasuredKernel | None
@@ -213,9 +214,9 @@ class Material:
     name : e.g. ``"cbsr-8wt"``.
     interelectrode_resistance_ohm : resistance between neighbouring electrodes.
     modulus_kPa : relaxed compressive modulus E.
-    loading_relaxation, unloading_relaxation : of conductance, after a press and after a release.
+    loading_relaxation, unloading_relaxation : relaxations of conductance, after a press and after a release.
     relative_noise : rms noise of one reading relative to the mean magnitude of the used readings.
-    strip_relaxation : as measured in one dimension, with its errors; None where it was not.
+    strip_relaxation : relaxation as measured in one dimension, with its errors; None where it was not.
     """
 
     name: str

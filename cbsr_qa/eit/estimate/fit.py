@@ -20,7 +20,7 @@ _EASIER: Final = 0.1
 _HARDER: Final = 8.0
 _LARGEST_DAMPING: Final = 1e8
 _AT_ONCE: Final = 128  # loads evaluated together, so that data stay in the processor's cache
-_LEAST_CLEARANCE: Final = 0.02  # of the sheet's radius: loads closer to an electrode or the edge are not followed
+_LEAST_CLEARANCE: Final = 0.02  # radii of the sheet: loads closer to an electrode or edge are not followed
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -31,13 +31,13 @@ class Fits:
     ----------
     parameters : (n, 4) x [mm], y [mm], strength s [mm²], square q [mm²] (:mod:`cbsr_qa.eit.loads.round_load`).
     covariance : (n, 4, 4) inverse Fisher matrix at the estimate; rows and columns of given parameters are zero.
-    residual : (n, rows) of unit noise.
+    residual : (n, rows) residuals in units of the noise.
     misfit : (n,) sum of its squares.
-    empty_misfit : (n,) the same without a load.
+    empty_misfit : (n,) misfit without a load.
     steps : (n,) tried.
     converged : (n,) False where the last step was not small.
-    held : (n,) whether the load would have grown into an electrode or over the edge; its square is at the bound.
-    excess : (n,) by how much the square of those would be larger without the bound, to first order; else 0.
+    held : (n,) mask of loads that would have grown into an electrode or over the edge; their square is at the bound.
+    excess : (n,) increase of the square of those without the bound, to first order; else 0.
     """
 
     parameters: Array
@@ -62,8 +62,8 @@ class LoadFitter:
         """Rows (n, rows) of loads (n, 4), and their slopes (n, rows, 4)."""
         change, slope = [], []
         for first in range(0, len(parameters), _AT_ONCE):
-            part = parameters[first : first + _AT_ONCE]
-            loaded = self.model.readings(RoundLoads(part[:, :2], part[:, 2], part[:, 3]))
+            batch = parameters[first : first + _AT_ONCE]
+            loaded = self.model.readings(RoundLoads(batch[:, :2], batch[:, 2], batch[:, 3]))
             change.append(self.readings.merge_frames(loaded.change))
             slope.append(self.readings.merge_frames(loaded.slope).swapaxes(1, 2))
         return np.concatenate(change), np.concatenate(slope)
@@ -91,13 +91,15 @@ class LoadFitter:
         electrodes, and no stronger than a disc of that clearance can be.
         """
         least = _LEAST_CLEARANCE * self.model.surroundings.radius_mm
-        clear = self.model.surroundings.clearance_mm(parameters[:, :2])
-        moved = parameters.copy()
+        clearance_mm = self.model.surroundings.clearance_mm(parameters[:, :2])
+        limited = parameters.copy()
         if square:
-            bound = np.maximum(clear, least) ** 2
-            moved[:, 3] = np.clip(moved[:, 3], -bound, bound)
-        possible = (clear >= least) & (np.abs(moved[:, 2]) <= np.maximum(clear**2, np.abs(moved[:, 3])))
-        return moved, moved[:, 3] != parameters[:, 3], possible
+            bound = np.maximum(clearance_mm, least) ** 2
+            limited[:, 3] = np.clip(limited[:, 3], -bound, bound)
+        possible_mask = (clearance_mm >= least) & (
+            np.abs(limited[:, 2]) <= np.maximum(clearance_mm**2, np.abs(limited[:, 3]))
+        )
+        return limited, limited[:, 3] != parameters[:, 3], possible_mask
 
 
 class _Run:
@@ -117,18 +119,18 @@ class _Run:
         self.steps = np.zeros(count, dtype=np.int64)
 
     def step(self) -> None:
-        which = np.flatnonzero(self.active)
-        move, gain = self._moves(which)
-        aim, cut, placed = self.fitter.limit_sizes(self.at[which] + move, square=self.square)
-        newly = cut & self.free[which, 3]
-        self.free[which[cut], 3] = False
-        self.steps[which] += 1
-        done = (gain < _CLOSE_ENOUGH) & ~newly & placed
-        self._finish(which[done], aim[done], gain[done])
-        self._refuse(which[~placed])
-        going = placed & ~done
-        if going.any():
-            self._try(which[going], aim[going])
+        active_loads = np.flatnonzero(self.active)
+        move, gain = self._moves(active_loads)
+        aim, limited_mask, placed_mask = self.fitter.limit_sizes(self.at[active_loads] + move, square=self.square)
+        newly_limited = limited_mask & self.free[active_loads, 3]
+        self.free[active_loads[limited_mask], 3] = False
+        self.steps[active_loads] += 1
+        done_mask = (gain < _CLOSE_ENOUGH) & ~newly_limited & placed_mask
+        self._finish(active_loads[done_mask], aim[done_mask], gain[done_mask])
+        self._refuse(active_loads[~placed_mask])
+        continuing_mask = placed_mask & ~done_mask
+        if continuing_mask.any():
+            self._try(active_loads[continuing_mask], aim[continuing_mask])
 
     def _moves(self, which: Indices) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
@@ -150,15 +152,15 @@ class _Run:
         rows, slopes = self.fitter.rows(aim)
         residual = self.data[which] - rows
         misfit = (residual**2).sum(axis=1)
-        better = misfit < self.misfit[which]
-        good = which[better]
-        self.at[good], self.misfit[good] = aim[better], misfit[better]
-        self.residual[good] = residual[better]
-        slopes = slopes[better]
-        self.information[good] = slopes.swapaxes(1, 2) @ slopes
-        self.pull[good] = np.einsum("nrp,nr->np", slopes, residual[better])
-        self.damping[good] *= _EASIER
-        self._refuse(which[~better])
+        better_mask = misfit < self.misfit[which]
+        improved_loads = which[better_mask]
+        self.at[improved_loads], self.misfit[improved_loads] = aim[better_mask], misfit[better_mask]
+        self.residual[improved_loads] = residual[better_mask]
+        slopes = slopes[better_mask]
+        self.information[improved_loads] = slopes.swapaxes(1, 2) @ slopes
+        self.pull[improved_loads] = np.einsum("nrp,nr->np", slopes, residual[better_mask])
+        self.damping[improved_loads] *= _EASIER
+        self._refuse(which[~better_mask])
 
     def _refuse(self, which: Indices) -> None:
         self.damping[which] *= _HARDER
@@ -166,9 +168,9 @@ class _Run:
 
     def result(self) -> Fits:
         """Fitted parameters, with covariances of all that could be fitted."""
-        held = self.square & ~self.free[:, 3]
+        held_mask = self.square & ~self.free[:, 3]
         covariance = _invert(self.information, square=self.square)
-        excess = np.where(held, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
+        excess = np.where(held_mask, (covariance[:, 3] * self.pull).sum(axis=1), 0.0)
         empty = (self.data**2).sum(axis=1)
         return Fits(
             self.at,
@@ -178,7 +180,7 @@ class _Run:
             empty,
             self.steps,
             self.converged,
-            held,
+            held_mask,
             np.maximum(excess, 0.0),
         )
 
@@ -187,8 +189,8 @@ def _normal(information: Array, free: Mask) -> tuple[Array, Array]:
     """Information (n, 4, 4) scaled to unit diagonal, with ones for fixed parameters, and the scale (n, 4)."""
     diagonal = np.diagonal(information, axis1=1, axis2=2)
     scale = np.sqrt(np.where(free & (diagonal > 0), diagonal, 1))
-    both = free[:, :, None] & free[:, None]
-    return np.where(both, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
+    both_free = free[:, :, None] & free[:, None]
+    return np.where(both_free, information / (scale[:, :, None] * scale[:, None]), np.eye(4)), scale
 
 
 def _invert(information: Array, *, square: bool) -> Array:
@@ -210,16 +212,16 @@ def spread_covariance(fitter: LoadFitter, fits: Fits, detectability: Array, *, s
     covariance = fits.covariance
     place = covariance[:, :2, :2]
     size, axes = np.linalg.eigh(place)
-    follow = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns vary with the place
+    place_response = covariance[:, :, :2] @ np.linalg.inv(place)  # how the other unknowns vary with the place
     total = covariance.copy()
     for axis in range(2):
         step = np.sqrt(np.maximum(size[:, axis], 0))[:, None] * axes[:, :, axis]
         for side in (-1, 1):
-            aim = fits.parameters + side * (follow @ step[..., None])[..., 0]
-            beside, _, placed = fitter.limit_sizes(aim, square=square)
-            beside[~placed] = fits.parameters[~placed]
-            total += fitter.covariance(beside, square=square)
+            aim = fits.parameters + side * (place_response @ step[..., None])[..., 0]
+            moved_parameters, _, placed_mask = fitter.limit_sizes(aim, square=square)
+            moved_parameters[~placed_mask] = fits.parameters[~placed_mask]
+            total += fitter.covariance(moved_parameters, square=square)
     mean = np.where(fits.held[:, None, None], covariance, total / 5)
-    beyond = np.sqrt(1 + _BEYOND / detectability**2)[:, None] ** np.array([1, 1, 0, 0])
-    spread: Array = mean * beyond[:, :, None] * beyond[:, None]
+    widening = np.sqrt(1 + _BEYOND / detectability**2)[:, None] ** np.array([1, 1, 0, 0])
+    spread: Array = mean * widening[:, :, None] * widening[:, None]
     return spread

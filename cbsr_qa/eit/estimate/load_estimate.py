@@ -34,12 +34,12 @@ LEAST_DETECTABILITY: Final = 8.0
 _SHARE: Final = 1 / 3
 #: Standard errors scatter as the strength does: margin of the bound.
 _SPARE: Final = 1.15
-#: A less probable misfit is attributed to the model.
+#: Least probability of a misfit that is not attributed to the model.
 _IMPROBABLE: Final = 1e-3
-_COVERED: Final = 0.6827  # by one standard deviation to each side
-_SMALL: Final = 0.6  # of the clearance: largest initial radius of a load
+_COVERED: Final = 0.6827  # coverage of one standard deviation to each side
+_SMALL: Final = 0.6  # largest initial radius of a load, over its clearance
 _AT_ONCE: Final = 64
-_GRID: Final = 0.08  # of the sheet's radius, between places of the matched filter
+_GRID: Final = 0.08  # spacing of the matched filter's places, in radii of the sheet
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,8 +52,8 @@ class LoadFits:
     finding : (n,) indices into :class:`~cbsr_qa.domain.readings.load_estimates.LoadFinding`'s order.
     detectability : (n,) d′.
     place_stderr_mm : (n,) root mean square over two axes.
-    has_radius : (n,) whether the radius is determined.
-    inflation, probability : (n,) of the misfit.
+    has_radius : (n,) mask of loads whose radius is determined.
+    inflation, probability : (n,) inflation by the misfit, and its probability.
     explained, explained_unweighted : (n,) shares of the signal, weighed by its noise and not.
     """
 
@@ -75,8 +75,8 @@ class LoadEstimator:
     ----------
     model : readings of the sheet under a round load, at unit sheet conductance.
     readings : used readings, with their noise.
-    expected_radius_mm : of the load: reference for resolving places and radii, and start of a fit.
-    known : whether the load has exactly that radius, so that it is not estimated.
+    expected_radius_mm : radius of the load: reference for resolving places and radii, and start of a fit.
+    known : True if the load has exactly that radius, so that it is not estimated.
     """
 
     def __init__(
@@ -97,7 +97,7 @@ class LoadEstimator:
 
         Parameters
         ----------
-        changes : (n, m) of the used readings, at unit current and unit sheet conductance [V/A·S].
+        changes : (n, m) changes of the used readings, at unit current and unit sheet conductance [V/A·S].
         start_mm : (n, 2) starting places, such as the blobs' centres of mass.
 
         Raises
@@ -134,28 +134,33 @@ class LoadEstimator:
     def _start(self, data: Array, start_mm: Array | None) -> tuple[Array, Array]:
         """Better start of the given place and the best of the grid, (n, 4), and its explained share, (n,)."""
         match = data @ self._patterns.T
-        best, every = np.abs(match).argmax(axis=1), np.arange(len(data))
-        matched = match[every, best]
+        best, frame_indices = np.abs(match).argmax(axis=1), np.arange(len(data))
+        matched = match[frame_indices, best]
         place, strength = self._places[best], matched / self._size[best]
         if start_mm is not None:
-            given = np.asarray(start_mm, dtype=np.float64)
-            clear = self.model.surroundings.clearance_mm(given) > _GRID * self.model.surroundings.radius_mm / 2
-            given = np.where(clear[:, None], given, place)
-            patterns, size = _filters(
-                self.readings.merge_frames(_weak_changes(self.model, given, self.expected_radius_mm))
+            given_mm = np.asarray(start_mm, dtype=np.float64)
+            clear_mask = (
+                self.model.surroundings.clearance_mm(given_mm) > _GRID * self.model.surroundings.radius_mm / 2
             )
-            own = (data * patterns).sum(axis=1)
-            better = np.abs(own) > np.abs(matched)
-            place = np.where(better[:, None], given, place)
-            strength, matched = np.where(better, own / size, strength), np.where(better, own, matched)
+            given_mm = np.where(clear_mask[:, None], given_mm, place)
+            patterns, size = _filters(
+                self.readings.merge_frames(_weak_changes(self.model, given_mm, self.expected_radius_mm))
+            )
+            given_match = (data * patterns).sum(axis=1)
+            better_mask = np.abs(given_match) > np.abs(matched)
+            place = np.where(better_mask[:, None], given_mm, place)
+            strength, matched = (
+                np.where(better_mask, given_match / size, strength),
+                np.where(better_mask, given_match, matched),
+            )
         return np.column_stack([place, strength, np.full(len(data), self.expected_radius_mm**2)]), matched**2
 
     def _fit_sizes(self, data: Array, fits: Fits) -> Fits:
-        seen = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
-        if not seen.size:
+        detected_frames = np.flatnonzero(fits.empty_misfit - fits.misfit > DETECTED_GAIN)
+        if not detected_frames.size:
             return fits
-        sized = self._fitter.fit(data[seen], fits.parameters[seen], square=True)
-        return _with(fits, seen, sized)
+        sized_fits = self._fitter.fit(data[detected_frames], fits.parameters[detected_frames], square=True)
+        return _with(fits, detected_frames, sized_fits)
 
     def _judge(self, data: Array, fits: Fits) -> LoadFits:
         unknowns = 3 if self.known else 4
@@ -164,46 +169,50 @@ class LoadEstimator:
         inflation = np.where(probability < _IMPROBABLE, fits.misfit / freedom, 1.0)
         gain = (fits.empty_misfit - fits.misfit) / inflation
         detectability = np.sqrt(np.maximum(gain - unknowns, 0))
-        explained = fits.empty_misfit - fits.misfit
-        unlike = unlike_model(explained, fits.misfit, freedom)
-        seen = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged & ~unlike
-        covariance = self._covariance(fits, np.flatnonzero(seen), detectability) * inflation[:, None, None]
+        explained_squares = fits.empty_misfit - fits.misfit
+        unlike_mask = unlike_model(explained_squares, fits.misfit, freedom)
+        seen_mask = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged & ~unlike_mask
+        covariance = self._covariance(fits, np.flatnonzero(seen_mask), detectability) * inflation[:, None, None]
         place = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)
-        located = seen & (place <= _SHARE * _SPARE * self.expected_radius_mm)
-        finding = np.where(unlike, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located, 0, 2)))
+        located_mask = seen_mask & (place <= _SHARE * _SPARE * self.expected_radius_mm)
+        finding = np.where(unlike_mask, 3, np.where(gain < DETECTED_GAIN, 1, np.where(located_mask, 0, 2)))
         fits = replace(fits, covariance=covariance)
-        has_radius = located & (self._radius_stderr(fits, located) <= _SHARE * _SPARE * self.expected_radius_mm)
+        has_radius = located_mask & (
+            self._radius_stderr(fits, located_mask) <= _SHARE * _SPARE * self.expected_radius_mm
+        )
         # Share (n,) of the readings' squares, each weighing alike, that the fits explain.
         variance = self.readings.weight**-2.0
-        left = fits.residual**2 @ variance
-        share_of_squares = share_explained(data**2 @ variance - left, left, float(variance.sum()))
-        shares = share_explained(explained, fits.misfit, freedom), share_of_squares
+        residual_squares = fits.residual**2 @ variance
+        share_of_squares = share_explained(
+            data**2 @ variance - residual_squares, residual_squares, float(variance.sum())
+        )
+        shares = share_explained(explained_squares, fits.misfit, freedom), share_of_squares
         return LoadFits(fits, finding, detectability, place, has_radius, inflation, probability, *shares)
 
     def _covariance(self, fits: Fits, seen: Indices, detectability: Array) -> Array:
         unsure = seen[detectability[seen] < SURE]
         if not unsure.size:
             return fits.covariance
-        chosen = Fits(*(getattr(fits, name)[unsure] for name in Fits.__slots__))
-        spread = spread_covariance(self._fitter, chosen, detectability[unsure], square=not self.known)
+        unsure_fits = Fits(*(getattr(fits, name)[unsure] for name in Fits.__slots__))
+        spread = spread_covariance(self._fitter, unsure_fits, detectability[unsure], square=not self.known)
         return _replace_rows(fits.covariance, unsure, spread)
 
     def _radius_stderr(self, fits: Fits, located: Mask) -> Array:
         """Standard error of the radius at its expected value, (n,) [mm]; infinite without one."""
         stderr = np.full(len(located), np.inf)
-        which = np.flatnonzero(located)
-        if self.known or not which.size:
+        located_frames = np.flatnonzero(located)
+        if self.known or not located_frames.size:
             return stderr
-        usual = fits.parameters[which].copy()
-        usual[:, 3] = self.expected_radius_mm**2
-        usual, *_ = self._fitter.limit_sizes(usual, square=True)
-        variance = self._fitter.covariance(usual, square=True)[:, 3, 3]
-        stderr[which] = np.sqrt(variance) / (2 * self.expected_radius_mm)
+        expected_parameters = fits.parameters[located_frames].copy()
+        expected_parameters[:, 3] = self.expected_radius_mm**2
+        expected_parameters, *_ = self._fitter.limit_sizes(expected_parameters, square=True)
+        variance = self._fitter.covariance(expected_parameters, square=True)[:, 3, 3]
+        stderr[located_frames] = np.sqrt(variance) / (2 * self.expected_radius_mm)
         return stderr
 
     def _estimate(self, fitted: LoadFits, number: int) -> LoadEstimate:
         finding = tuple(LoadFinding)[fitted.finding[number]]
-        located = finding is LoadFinding.LOCATED
+        is_located = finding is LoadFinding.LOCATED
         fits = fitted.fits
         covariance = fits.covariance[number]
         x_mm, y_mm, strength, square = fits.parameters[number].tolist()
@@ -211,14 +220,14 @@ class LoadEstimator:
         freedom = len(self.readings.weight) - (3 if self.known else 4)
         return LoadEstimate(
             finding=finding,
-            why="" if located else self._why(finding, fitted, number),
+            why="" if is_located else self._why(finding, fitted, number),
             detectability=float(fitted.detectability[number]),
-            place_mm=(x_mm, y_mm) if located else None,
-            place_covariance_mm2=covariance[:2, :2].copy() if located else None,
-            area_contrast_mm2=area_contrast(strength, errors[2]) if located else None,
-            contrast=contrast_of(strength / square, errors[2] / square) if located and self.known else None,
+            place_mm=(x_mm, y_mm) if is_located else None,
+            place_covariance_mm2=covariance[:2, :2].copy() if is_located else None,
+            area_contrast_mm2=area_contrast(strength, errors[2]) if is_located else None,
+            contrast=contrast_of(strength / square, errors[2] / square) if is_located and self.known else None,
             radius_mm=radius_of(square, errors[3], float(fits.excess[number])) if fitted.has_radius[number] else None,
-            no_radius="" if fitted.has_radius[number] else self._why_no_radius(located, errors[3]),
+            no_radius="" if fitted.has_radius[number] else self._why_no_radius(is_located, errors[3]),
             misfit=float(fits.misfit[number] / freedom),
             misfit_probability=float(fitted.probability[number]),
             inflation=float(fitted.inflation[number]),
@@ -236,13 +245,13 @@ class LoadEstimator:
             )
         if finding is LoadFinding.NOT_DETECTED:
             return "no load stands out of the noise of the readings"
-        seen, place = float(fitted.detectability[number]), float(fitted.place_stderr_mm[number])
+        detectability, place = float(fitted.detectability[number]), float(fitted.place_stderr_mm[number])
         if not fitted.fits.converged[number]:
             return "the fit of a round load did not converge: there is more than one load, or none"
         allowed = _SHARE * self.expected_radius_mm
-        factor = max(10 / max(seen, 1e-3), place / allowed)
+        factor = max(10 / max(detectability, 1e-3), place / allowed)
         return (
-            f"a load is there (d′ {seen:.1f}), but its position is uncertain by {place:.2g} mm;"
+            f"a load is there (d′ {detectability:.1f}), but its position is uncertain by {place:.2g} mm;"
             f" averaging {ceil(factor**2)} times as many frames would resolve it"
         )
 
@@ -258,25 +267,26 @@ class LoadEstimator:
 @lru_cache(maxsize=16)
 def _weak_loads(model: RoundLoadModel, radius_mm: float) -> tuple[Array, Array]:
     """Places (p, 2) all over the sheet, and the response to a weak load of unit strength (p, drives, measures)."""
-    step = _GRID * model.surroundings.radius_mm
+    spacing_mm = _GRID * model.surroundings.radius_mm
     left, right, bottom, top = model.surroundings.extent_mm
     axes = (
-        np.arange(ceil(low / step), floor(high / step) + 1) * step for low, high in ((left, right), (bottom, top))
+        np.arange(ceil(low / spacing_mm), floor(high / spacing_mm) + 1) * spacing_mm
+        for low, high in ((left, right), (bottom, top))
     )
     places = np.stack(np.meshgrid(*axes), axis=-1).reshape(-1, 2)
-    places = places[model.surroundings.clearance_mm(places) > step / 2]
+    places = places[model.surroundings.clearance_mm(places) > spacing_mm / 2]
     return places, _weak_changes(model, places, radius_mm)
 
 
 def _weak_changes(model: RoundLoadModel, places_mm: Array, radius_mm: float) -> Array:
     """Response to weak loads, smaller near an electrode."""
-    clear = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
-    radius = np.minimum(radius_mm, _SMALL * clear)
+    clearance_mm = np.maximum(model.surroundings.clearance_mm(places_mm), 0.0)
+    radius = np.minimum(radius_mm, _SMALL * clearance_mm)
     changes = np.empty((len(places_mm), *model.pattern.shape))
-    order = np.argsort(-clear, kind="stable")  # places of similar clearance need similar numbers of terms
+    order = np.argsort(-clearance_mm, kind="stable")  # places of similar clearance need similar numbers of terms
     for first in range(0, len(order), _AT_ONCE):
-        part = order[first : first + _AT_ONCE]
-        changes[part] = model.weak(places_mm[part], radius[part])
+        batch = order[first : first + _AT_ONCE]
+        changes[batch] = model.weak(places_mm[batch], radius[batch])
     return changes
 
 

@@ -47,7 +47,7 @@ class MergedReadings:
     used : (drives, measures) bool with m True entries, in C order.
     merging : (rows, m) maps changes of the used readings to rows of unit noise.
     drive, measure : (rows,) a reading of each row, for the model.
-    weight : (rows,) by which the model's value of that reading is multiplied.
+    weight : (rows,) factor of the model's value of that reading.
     """
 
     used: Mask
@@ -70,8 +70,8 @@ def merge_reciprocal(pattern: DrivePattern, used: Mask, variance: Array) -> Merg
 
     Parameters
     ----------
-    variance : (drives, measures) of the readings' changes, independent of each other; only those of used readings
-        matter.
+    variance : (drives, measures) variance of the readings' changes, independent of each other; only those of used
+        readings matter.
 
     Raises
     ------
@@ -88,15 +88,15 @@ def merge_reciprocal(pattern: DrivePattern, used: Mask, variance: Array) -> Merg
             remedy="leave out stuck readings, or take more unloaded frames",
         )
     groups, signs = pattern.reading_groups()
-    _, first, row = np.unique(groups[used], return_index=True, return_inverse=True)
-    if len(first) < FEWEST_ROWS:
+    _, leading, row = np.unique(groups[used], return_index=True, return_inverse=True)
+    if len(leading) < FEWEST_ROWS:
         raise NumericsError(
-            f"only {len(first)} independent readings are left; estimating a load needs at least {FEWEST_ROWS}",
+            f"only {len(leading)} independent readings are left; estimating a load needs at least {FEWEST_ROWS}",
             remedy="repair the masked channels",
         )
     precision = 1 / variance[used]
     total, sign = np.bincount(row, precision), signs[used]
-    merging = np.zeros((len(first), len(row)))
-    merging[row, np.arange(len(row))] = sign * sign[first][row] * precision / np.sqrt(total)[row]
+    merging = np.zeros((len(leading), len(row)))
+    merging[row, np.arange(len(row))] = sign * sign[leading][row] * precision / np.sqrt(total)[row]
     drive, measure = np.nonzero(used)
-    return MergedReadings(used, merging, drive[first], measure[first], np.sqrt(total))
+    return MergedReadings(used, merging, drive[leading], measure[leading], np.sqrt(total))

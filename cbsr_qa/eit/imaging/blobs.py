@@ -76,7 +76,7 @@ def groups(labels: Indices) -> dict[int, Indices]:
     """Rising indices of each label, by label."""
     order = np.argsort(labels, kind="stable")
     parts = np.split(order, np.flatnonzero(np.diff(labels[order])) + 1)
-    return {int(labels[part[0]]): part for part in parts if part.size}
+    return {int(labels[members[0]]): members for members in parts if members.size}
 
 
 AnyRegion = TypeVar("AnyRegion", bound=Region)

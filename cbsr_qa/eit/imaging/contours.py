@@ -18,8 +18,8 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.imaging.blobs import component_labels, groups, threshold
 
-_SPECK: Final = 1e-9  # of a mean element's area
-_ALIGNED: Final = 1e-9  # of a line: elements around a node in a flatter arrangement give no slope across it
+_SPECK: Final = 1e-9  # largest area that is left out, in mean areas of an element
+_ALIGNED: Final = 1e-9  # flatness of a line: elements around a node in a flatter arrangement give no slope across it
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,14 +127,14 @@ def _fit_at_nodes(mesh: Mesh) -> csr_array:
     """Weights of :func:`nodal_values`; rows are nodes, columns elements."""
     element, node = np.repeat(np.arange(len(mesh.elements)), 3), mesh.elements.ravel()
     share = mesh.areas_mm2[element] / np.bincount(node, mesh.areas_mm2[element])[node]
-    centre = np.column_stack([np.bincount(node, share * along) for along in mesh.centroids_mm[element].T])
+    centre = np.column_stack([np.bincount(node, share * coordinate) for coordinate in mesh.centroids_mm[element].T])
     off_x, off_y = (mesh.centroids_mm[element] - centre[node]).T
     move_x, move_y = (mesh.nodes_mm[: len(centre)] - centre).T
     xx, xy, yy = (np.bincount(node, share * product) for product in (off_x**2, off_x * off_y, off_y**2))
     spread = xx * yy - xy**2
-    moved = spread > _ALIGNED * (xx + yy) ** 2
-    moved[mesh.outline] = False
-    per_spread = np.where(moved, 1 / np.where(moved, spread, 1.0), 0.0)
+    fitted_mask = spread > _ALIGNED * (xx + yy) ** 2
+    fitted_mask[mesh.outline] = False
+    per_spread = np.where(fitted_mask, 1 / np.where(fitted_mask, spread, 1.0), 0.0)
     slope_x, slope_y = (yy * move_x - xy * move_y) * per_spread, (xx * move_y - xy * move_x) * per_spread
     weight = share * (1 + off_x * slope_x[node] + off_y * slope_y[node])
     return csr_array((weight, (node, element)), shape=(len(mesh.nodes_mm), len(mesh.elements)))
@@ -151,21 +151,21 @@ class _Cut:
     def __init__(self, mesh: Mesh, nodal: Array, levels: Array) -> None:
         self._nodes_mm, self._nodal, self._levels = mesh.nodes_mm, nodal, levels
         self.above = (nodal >= levels[:, None]).ravel()
-        high = nodal >= levels.min()
-        triangles = self._copies(mesh.elements[_any(high, mesh.elements)])
-        reached = self.above[triangles]
-        first, second, third = reached.T.astype(np.int8)
+        high_mask = nodal >= levels.min()
+        triangles = self._copies(mesh.elements[_any(high_mask, mesh.elements)])
+        above_mask = self.above[triangles]
+        first, second, third = above_mask.T.astype(np.int8)
         count = first + second + third
         self.whole = triangles[count == 3]
         self.tips, self.stumps = (
-            _rotate_to_marked_corner(triangles[count == 1], reached[count == 1]),
-            _rotate_to_marked_corner(triangles[count == 2], ~reached[count == 2]),
+            _rotate_to_marked_corner(triangles[count == 1], above_mask[count == 1]),
+            _rotate_to_marked_corner(triangles[count == 2], ~above_mask[count == 2]),
         )
         self.tip_cuts = [self.crossing(self.tips[:, 0], self.tips[:, k]) for k in (1, 2)]
         self.stump_cuts = [self.crossing(self.stumps[:, k], self.stumps[:, 0]) for k in (1, 2)]
-        edges = self._copies(mesh.edges[_all(high, mesh.edges)])
+        edges = self._copies(mesh.edges[_all(high_mask, mesh.edges)])
         self.joined = edges[_all(self.above, edges)]
-        outer = self._copies(mesh.outline[_any(high, mesh.outline)])
+        outer = self._copies(mesh.outline[_any(high_mask, mesh.outline)])
         self.outer = outer[_any(self.above, outer)]
 
     def _copies(self, nodes: Indices) -> Indices:
@@ -244,14 +244,14 @@ def _inside(cut: _Cut) -> tuple[Array, Array, Indices]:
 
 def _rim(cut: _Cut) -> tuple[Array, Array, Indices]:
     """Starts and ends (k, 2) of the contours' pieces and of the sheet's edge between them, and a corner above."""
-    first, last = cut.outer.T
-    enters, leaves = ~cut.above[first], ~cut.above[last]
-    start, end = cut.place(first), cut.place(last)
-    start[enters] = cut.crossing(last[enters], first[enters])
-    end[leaves] = cut.crossing(first[leaves], last[leaves])
+    start_node, end_node = cut.outer.T
+    enters, leaves = ~cut.above[start_node], ~cut.above[end_node]
+    start, end = cut.place(start_node), cut.place(end_node)
+    start[enters] = cut.crossing(end_node[enters], start_node[enters])
+    end[leaves] = cut.crossing(start_node[leaves], end_node[leaves])
     starts = np.concatenate([cut.tip_cuts[0], cut.stump_cuts[1], start])
     ends = np.concatenate([cut.tip_cuts[1], cut.stump_cuts[0], end])
-    anchor = np.concatenate([cut.tips[:, 0], cut.stumps[:, 1], np.where(enters, last, first)])
-    apart = starts != ends
-    has_length = apart[:, 0] | apart[:, 1]
+    anchor = np.concatenate([cut.tips[:, 0], cut.stumps[:, 1], np.where(enters, end_node, start_node)])
+    differs = starts != ends
+    has_length = differs[:, 0] | differs[:, 1]
     return starts[has_length], ends[has_length], anchor[has_length]

@@ -77,12 +77,14 @@ def _flood_basins(values: Array, around: list[list[int]], depth: float) -> Indic
         return peak
 
     for element in np.argsort(-values, kind="stable").tolist():
-        known = sorted((other for other in around[element] if basin[other] >= 0), key=lambda k: -values[k])
-        if not known:
+        flooded_neighbours = sorted(
+            (other for other in around[element] if basin[other] >= 0), key=lambda k: -values[k]
+        )
+        if not flooded_neighbours:
             basin[element] = element
             continue
-        basin[element] = basin[known[0]]
-        peaks = sorted({top(int(basin[other])) for other in known}, key=lambda k: (-values[k], k))
+        basin[element] = basin[flooded_neighbours[0]]
+        peaks = sorted({top(int(basin[other])) for other in flooded_neighbours}, key=lambda k: (-values[k], k))
         for peak in peaks[1:]:
             if values[peak] - values[element] <= depth:
                 into[peak] = peaks[0]
@@ -91,12 +93,12 @@ def _flood_basins(values: Array, around: list[list[int]], depth: float) -> Indic
 
 @dataclass(frozen=True, slots=True)
 class Assignment:
-    """Which region belongs to which load.
+    """Assignment of regions to loads.
 
     Parameters
     ----------
-    region_of : for each load the index of its own region, or None.
-    merged_with : for each load the index of the load whose region it shares, or None.
+    region_of : index of each load's own region, or None.
+    merged_with : index of the load whose region each load shares, or None.
     false : indices of the regions that belong to no load.
     """
 
@@ -108,7 +110,7 @@ class Assignment:
     def missed(self) -> tuple[int, ...]:
         """Loads with neither their own region nor a share in another's."""
         pairs = zip(self.region_of, self.merged_with, strict=True)
-        return tuple(load for load, (own, shared) in enumerate(pairs) if own is None and shared is None)
+        return tuple(load for load, (region, shared) in enumerate(pairs) if region is None and shared is None)
 
     @property
     def merged(self) -> tuple[int, ...]:
@@ -140,18 +142,18 @@ def assign_regions(regions: Sequence[Region], loads: Sequence[Footprint], *, gat
     if not 0 < gate_mm < float("inf"):
         raise NumericsError(f"gate is {gate_mm} mm; it must be positive", remedy="use the diameter of the head")
     distance, covered = _relations(regions, loads)
-    possible = covered | (distance <= gate_mm)
+    possible_mask = covered | (distance <= gate_mm)
     # An extra column lets each load stay without a region; at equal cost a region is preferred.
-    nobody = np.where(np.eye(len(loads), dtype=np.bool_), gate_mm * (1 + 1e-9), np.inf)
-    costs = np.hstack([np.where(possible, np.minimum(distance, gate_mm), np.inf), nobody])
+    no_region_costs = np.where(np.eye(len(loads), dtype=np.bool_), gate_mm * (1 + 1e-9), np.inf)
+    costs = np.hstack([np.where(possible_mask, np.minimum(distance, gate_mm), np.inf), no_region_costs])
     columns = linear_sum_assignment(costs)[1].tolist()
     region_of = tuple(column if column < len(regions) else None for column in columns)
     owner = {region: load for load, region in enumerate(region_of) if region is not None}
     merged_with = tuple(
-        min((k for k in owner if possible[load, k]), key=lambda k: float(distance[load, k]), default=None)
-        if own is None
+        min((k for k in owner if possible_mask[load, k]), key=lambda k: float(distance[load, k]), default=None)
+        if region_index is None
         else None
-        for load, own in enumerate(region_of)
+        for load, region_index in enumerate(region_of)
     )
     return Assignment(
         region_of,
@@ -164,11 +166,11 @@ def _relations(regions: Sequence[Region], loads: Sequence[Footprint]) -> tuple[A
     """Distances of the regions' centres of mass from the loads' centres, and whether they cover them."""
     pressed = np.array([load.centre_mm for load in loads]).reshape(-1, 2)
     distance = np.empty((len(loads), len(regions)))
-    covered = np.empty_like(distance, dtype=np.bool_)
+    covered_mask = np.empty_like(distance, dtype=np.bool_)
     for number, region in enumerate(regions):
         distance[:, number] = np.hypot(*(pressed - region.centre_mm()).T)
-        covered[:, number] = inside_edges(pressed, *region.rim_mm())
-    return distance, covered
+        covered_mask[:, number] = inside_edges(pressed, *region.rim_mm())
+    return distance, covered_mask
 
 
 #: Mask under which a watershed separates two loads, and the depth of the valley between them, both of the maximum.
@@ -208,8 +210,8 @@ def two_touch_resolution(
 
     Parameters
     ----------
-    mask : of the image's maximum, for contours; None for a watershed of the 25 % mask that separates peaks with a
-        valley of 5 % between them.
+    mask : level of the contours, as a share of the image's maximum; None for a watershed of the 25 % mask that
+        separates peaks with a valley of 5 % between them.
     furthest_mm : largest distance of the centres; by default 0.8 of the sheet's radius.
 
     Raises
@@ -219,17 +221,19 @@ def two_touch_resolution(
     """
     problem = reconstruction.problem
     furthest_mm = 0.8 * problem.sensor_type.radius_mm if furthest_mm is None else furthest_mm
-    along = np.array([1.0, 0.0])
-    width = float(np.ptp(indenter.footprint_at(0.0, 0.0).outline_mm() @ along))
+    direction = np.array([1.0, 0.0])
+    width = float(np.ptp(indenter.footprint_at(0.0, 0.0).outline_mm() @ direction))
     if not (step_mm > 0 and width + step_mm <= furthest_mm):
         raise NumericsError(
             f"two heads {width:.3g} mm wide are not told apart up to {furthest_mm:.3g} mm in steps of {step_mm:g} mm",
             remedy="try larger distances, in positive steps",
         )
-    tried = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)
+    distances_mm = step_mm * np.arange(np.ceil(width / step_mm), np.floor(furthest_mm / step_mm + 1e-9) + 1)
     # From the largest distance down, until they merge: smaller distances make no difference.
-    apart = list(takewhile(lambda at: _pair(reconstruction, indenter, along * at / 2, mask).apart, tried[::-1]))
-    return TwoTouch(float(apart[-1]) if apart else None, float(tried[-1]), step_mm)
+    resolved_mm = list(
+        takewhile(lambda at: _pair(reconstruction, indenter, direction * at / 2, mask).apart, distances_mm[::-1])
+    )
+    return TwoTouch(float(resolved_mm[-1]) if resolved_mm else None, float(distances_mm[-1]), step_mm)
 
 
 def loads_change(problem: ImagingProblem, loads: list[Footprint]) -> Array:

@@ -29,7 +29,7 @@ class Raster:
     ----------
     values : (rows, columns) float64; rows rise with y, columns with x.
     pitch_mm : width of a pixel.
-    first_mm : (x, y) of the centre of pixel [0, 0].
+    first_mm : (x, y) centre of pixel [0, 0].
     """
 
     values: Array
@@ -99,9 +99,9 @@ def split_touching(raster: Raster, fraction: float, separation_mm: float) -> tup
     if not keep.any():
         return ()
     smooth = gaussian_filter(raster.values, separation_mm / 4 / raster.pitch_mm)
-    apart = max(round(separation_mm / raster.pitch_mm / 2), 1)
+    distance = max(round(separation_mm / raster.pitch_mm / 2), 1)
     joined = _measure.label(keep, connectivity=1)
-    peaks = _feature.peak_local_max(smooth, min_distance=apart, labels=joined, exclude_border=False)
+    peaks = _feature.peak_local_max(smooth, min_distance=distance, labels=joined, exclude_border=False)
     markers = np.zeros(keep.shape, dtype=np.int64)
     markers[tuple(peaks.T)] = np.arange(1, len(peaks) + 1)
     # A flat image has no peak, but its pixels are a region all the same.
@@ -116,16 +116,16 @@ def pixel_image(raster: Raster, where: Mask | None = None) -> Image:
     NumericsError if no pixel is left.
     """
     rows, columns = raster.values.shape
-    kept = np.ones(raster.values.shape, dtype=np.bool_) if where is None else where
-    if not kept.any():
+    kept_mask = np.ones(raster.values.shape, dtype=np.bool_) if where is None else where
+    if not kept_mask.any():
         raise NumericsError("no pixel of the raster lies on the sheet")
     corners = np.stack(np.meshgrid(np.arange(rows + 1), np.arange(columns + 1), indexing="ij"), axis=-1) - 0.5
-    row, column = np.nonzero(kept)
+    row, column = np.nonzero(kept_mask)
     lower = row * (columns + 1) + column
     right, up, across = lower + 1, lower + columns + 1, lower + columns + 2
     halves = np.stack([np.column_stack([lower, right, across]), np.column_stack([lower, across, up])], axis=1)
     mesh = Mesh(raster.places_mm(corners.reshape(-1, 2)), halves.reshape(-1, 3))
-    return Image(mesh, np.repeat(raster.values[kept], 2))
+    return Image(mesh, np.repeat(raster.values[kept_mask], 2))
 
 
 def outlines(raster: Raster, level: float) -> tuple[Array, ...]:
@@ -148,15 +148,15 @@ def _regions(raster: Raster, labels: Indices, level: float) -> tuple[PixelRegion
     for properties in _measure.regionprops(labels, intensity_image=raster.values):
         pixels = labels == properties.label
         centre = raster.places_mm(np.array([properties.centroid_weighted]))[0]
-        alone = Raster(
+        masked = Raster(
             np.where(pixels | (raster.values < level), raster.values, 0.0), raster.pitch_mm, raster.first_mm
         )
-        pieces = outlines(alone, level)
-        start, end = (np.concatenate([piece[part] for piece in pieces]) for part in (slice(-1), slice(1, None)))
-        long = (start != end).any(axis=1)
+        pieces = outlines(masked, level)
+        start, end = (np.concatenate([piece[ends] for piece in pieces]) for ends in (slice(-1), slice(1, None)))
+        nonzero_mask = (start != end).any(axis=1)
         # Relative to one corner: products of places far from the origin would cancel in a small area.
         u, v = start - start[0], end - start[0]
         area = float((u[:, 0] * v[:, 1] - u[:, 1] * v[:, 0]).sum()) / 2
         weight = float(raster.values[pixels].sum()) * raster.pitch_mm**2
-        regions.append(PixelRegion(pixels, centre, area, weight, start[long], end[long]))
+        regions.append(PixelRegion(pixels, centre, area, weight, start[nonzero_mask], end[nonzero_mask]))
     return tuple(sorted(regions, key=lambda region: -region.weight))

@@ -10,8 +10,8 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 
 _FEWEST: Final = 3  # places: any two are fitted exactly by a similarity
-_ROUNDING: Final = 1e-12  # of squared distances
-_SEEN_APART: Final = 1e-9  # of the pressed distances; less is a single place
+_ROUNDING: Final = 1e-12  # share of squared distances that is rounding
+_SEEN_APART: Final = 1e-9  # share of the pressed distances; less is a single place
 _MIRRORED: Final = 0.9  # least share that a mirror image must explain …
 _CLEARLY: Final = 0.1  # … and largest share that it may leave of what a rotation leaves unexplained
 
@@ -60,34 +60,34 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
         raise NumericsError(f"places {nominal_mm.shape} and {seen_mm.shape} do not match; both must be (n, 2)")
     count = len(nominal_mm)
     if count < _FEWEST:
-        some = "1 place says" if count == 1 else f"{count} places say"
-        raise NumericsError(f"{some} nothing about a registration", remedy="three or more are needed")
+        count_words = "1 place says" if count == 1 else f"{count} places say"
+        raise NumericsError(f"{count_words} nothing about a registration", remedy="three or more are needed")
     p, q = (places[:, 0] + 1j * places[:, 1] for places in (nominal_mm, seen_mm))
     if not (np.isfinite(p) & np.isfinite(q)).all():
         raise NumericsError("a place of a registration is not finite")
     # Both relative to their means: the origin may be far from all places.
-    centred, seen = p - p.mean(), q - q.mean()
-    size, seen_size = float((np.abs(centred) ** 2).sum()), float((np.abs(seen) ** 2).sum())
+    nominal_centred, seen_centred = p - p.mean(), q - q.mean()
+    size, seen_size = float((np.abs(nominal_centred) ** 2).sum()), float((np.abs(seen_centred) ** 2).sum())
     if _one_place(p, size):
         raise NumericsError("all loads were pressed at one place", remedy="press at different places")
     if _one_place(q, seen_size) or seen_size < _SEEN_APART**2 * size:
         raise NumericsError("all loads are seen at one place, wherever they were pressed")
-    factor = complex((centred.conj() * seen).sum() / size)
-    _refuse_mirrored(factor, complex((centred * seen).sum() / size), seen_size / size)
+    factor = complex((nominal_centred.conj() * seen_centred).sum() / size)
+    _refuse_mirrored(factor, complex((nominal_centred * seen_centred).sum() / size), seen_size / size)
     offset = complex(q.mean() - factor * p.mean())
-    left = seen - factor * centred
-    variance = float((np.abs(left) ** 2).sum()) / (2 * count - 4)  # of one coordinate
-    of_factor = float(np.sqrt(variance / size))
-    of_offset = float(np.sqrt(variance * (1 / count + abs(p.mean()) ** 2 / size)))
-    back = left / factor
+    residual = seen_centred - factor * nominal_centred
+    variance = float((np.abs(residual) ** 2).sum()) / (2 * count - 4)  # variance of one coordinate
+    factor_stderr = float(np.sqrt(variance / size))
+    offset_stderr = float(np.sqrt(variance * (1 / count + abs(p.mean()) ** 2 / size)))
+    nominal_residual = residual / factor
     return Registration(
         np.array([offset.real, offset.imag]),
         float(np.degrees(np.angle(factor))),
         abs(factor),
-        of_offset,
-        float(np.degrees(of_factor / abs(factor))),
-        of_factor,
-        np.column_stack([back.real, back.imag]),
+        offset_stderr,
+        float(np.degrees(factor_stderr / abs(factor))),
+        factor_stderr,
+        np.column_stack([nominal_residual.real, nominal_residual.imag]),
     )
 
 

@@ -42,17 +42,17 @@ def spatial_figures(
     ``clipping``, ``perimeter``: modes of :func:`area_overlap_percent` and :func:`shape_deviation_mm2`; raises as
     these do.
     """
-    seen = [region for region in regions if region is not None]
-    if not seen:
+    present_regions = [region for region in regions if region is not None]
+    if not present_regions:
         return (None,) * len(regions)
-    rims = [region.rim_mm() for region in seen]
-    overlaps = _overlaps_percent(seen, rims, indenter, clipping)
-    deviations = _deviations_mm2(seen, rims, indenter, perimeter)
+    rims = [region.rim_mm() for region in present_regions]
+    overlaps = _overlaps_percent(present_regions, rims, indenter, clipping)
+    deviations = _deviations_mm2(present_regions, rims, indenter, perimeter)
     figures = iter(
         SpatialFigures(
             centre_of_mass_error_mm(region, indenter), overlap, deviation, region.area_mm2 / indenter.area_mm2
         )
-        for region, overlap, deviation in zip(seen, overlaps, deviations, strict=True)
+        for region, overlap, deviation in zip(present_regions, overlaps, deviations, strict=True)
     )
     return tuple(None if region is None else next(figures) for region in regions)
 
@@ -102,16 +102,16 @@ def _overlaps_percent(
 ) -> list[float]:
     if mode == "exact":
         # Green's theorem: the overlap depends only on the region's perimeter.
-        start, end, first = _join_rims(rims)
-        inside = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first), 0.0)
+        start, end, first_edges = _join_rims(rims)
+        overlaps_mm2 = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first_edges), 0.0)
     elif mode == "centroid":
-        inside = np.array(
+        overlaps_mm2 = np.array(
             [_overlap_of_elements_mm2(_require_blob(region, "clipping by centroids"), indenter) for region in regions]
         )
     else:
         raise NumericsError(f"unknown clipping mode {mode!r}", remedy="use 'exact' or 'centroid'")
     area = np.array([region.area_mm2 for region in regions])
-    percent: list[float] = (50.0 * inside * (1 / indenter.area_mm2 + 1 / area)).tolist()
+    percent: list[float] = (50.0 * overlaps_mm2 * (1 / indenter.area_mm2 + 1 / area)).tolist()
     return percent
 
 
@@ -124,10 +124,12 @@ def _deviations_mm2(
         return [float(np.mean(indenter.distance_mm(places) ** 2)) for places in nodes]
     if mode != "length":
         raise NumericsError(f"unknown perimeter mode {mode!r}", remedy="use 'length' or 'nodes'")
-    start, end, first = _join_rims(rims)
-    along = end - start
-    length = np.sqrt(along[:, 0] ** 2 + along[:, 1] ** 2)
-    mean = np.add.reduceat(indenter.integrate_distance2_mm3(start, end), first) / np.add.reduceat(length, first)
+    start, end, first_edges = _join_rims(rims)
+    edge = end - start
+    length = np.sqrt(edge[:, 0] ** 2 + edge[:, 1] ** 2)
+    mean = np.add.reduceat(indenter.integrate_distance2_mm3(start, end), first_edges) / np.add.reduceat(
+        length, first_edges
+    )
     deviations: list[float] = mean.tolist()
     return deviations
 
@@ -220,7 +222,7 @@ def greit_figures(image: Image, target: Footprint, *, contrast: float | None = N
 
     Parameters
     ----------
-    image : with a positive target; nothing subtracted, since ringing is negative.
+    image : image with a positive target; nothing is subtracted from it, since ringing is negative.
     contrast : relative conductance change of the target, of the sign of the image; for AR.
 
     Raises
@@ -233,17 +235,19 @@ def greit_figures(image: Image, target: Footprint, *, contrast: float | None = N
     mesh, values = image.mesh, image.values
     if values.max() <= 0:
         return None
-    kept = values >= threshold(values, QUARTER)
-    area = float(mesh.areas_mm2[kept].sum())
-    centre = mesh.areas_mm2[kept] @ mesh.centroids_mm[kept] / area
-    inside = overlap_mm2(RoundFootprint(float(centre[0]), float(centre[1]), np.sqrt(area / np.pi)), mesh.corners_mm)
-    outside = np.maximum(mesh.areas_mm2 - inside, 0.0)
-    within = float(values @ inside)
+    kept_mask = values >= threshold(values, QUARTER)
+    area = float(mesh.areas_mm2[kept_mask].sum())
+    centre = mesh.areas_mm2[kept_mask] @ mesh.centroids_mm[kept_mask] / area
+    inside_mm2 = overlap_mm2(
+        RoundFootprint(float(centre[0]), float(centre[1]), np.sqrt(area / np.pi)), mesh.corners_mm
+    )
+    outside_mm2 = np.maximum(mesh.areas_mm2 - inside_mm2, 0.0)
+    inside_integral = float(values @ inside_mm2)
     integral = float(values @ mesh.areas_mm2)
     return GreitFigures(
         amplitude_response=None if contrast is None else integral / (contrast * target.area_mm2),
         position_error_mm=float(np.hypot(*target.centre_mm) - np.hypot(*centre)),
         resolution=float(np.sqrt(area / mesh.areas_mm2.sum())),
-        shape_deformation=float(outside[kept].sum()) / area,
-        ringing=float(np.maximum(-values, 0.0) @ outside) / within if within > 0 else None,
+        shape_deformation=float(outside_mm2[kept_mask].sum()) / area,
+        ringing=float(np.maximum(-values, 0.0) @ outside_mm2) / inside_integral if inside_integral > 0 else None,
     )

@@ -56,17 +56,17 @@ def channel_map_figure(
     marks : readings to point at, with a legend below the map; those without pairs are left out.
     """
     drives, measures = values.shape
-    shown = np.isfinite(values) & (True if used is None else used)
+    shown_mask = np.isfinite(values) & (True if used is None else used)
     size_in = 3.5
     tall_in = min(size_in * max(drives / measures, 0.12), 4.5)
     height_in = tall_in + 0.6
     figure = canvas(height_in, WIDTH_IN)
     left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
     axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
-    norm = Normalize(*_middle(values[shown]))
-    _draw_map(axes, values, shown, norm)
+    norm = Normalize(*_middle(values[shown_mask]))
+    _draw_map(axes, values, shown_mask, norm)
     _draw_marks(axes, marks)
-    if shown.any():
+    if shown_mask.any():
         add_scale(figure, axes, norm, AMOUNT_MAP, label=unit_column(label, unit), place="right")
     return figure
 
@@ -86,7 +86,7 @@ def pair_bar_figure(
     Parameters
     ----------
     values : (pairs,) float64, finite, at least one.
-    names : of the pairs, e.g. ``"3–4"``.
+    names : names of the pairs, e.g. ``"3–4"``.
     outside : pairs drawn in the warning colour.
     """
     figure = canvas(2.0)
@@ -136,13 +136,13 @@ def _empty_cells(axes: Axes, shown: NDArray[np.bool_]) -> None:
 
 
 def _draw_marks(axes: Axes, marks: Sequence[ChannelMark]) -> None:
-    present = [mark for mark in marks if mark.pairs]
-    for mark in present:
+    present_marks = [mark for mark in marks if mark.pairs]
+    for mark in present_marks:
         drive, measure = np.array(mark.pairs).T
         axes.scatter(
             measure, drive, marker=mark.symbol, s=16, c=VERMILION, linewidths=1.1, label=mark.label, zorder=4
         )
-    if present:
+    if present_marks:
         axes.legend(loc="upper right", bbox_to_anchor=(-0.12, 1.0), frameon=False, fontsize=7, labelcolor=QUIET)
 
 
@@ -160,7 +160,7 @@ def ring_figure(
 
     Parameters
     ----------
-    expected, mean : (drives, measures) in ``unit``.
+    expected, mean : (drives, measures) readings in ``unit``.
     residual : (drives, measures) as a fraction of the expected reading.
     driven : (drives, measures) bool; readings that touch a driven electrode.
     used : (drives, measures) bool; readings without a flag, the others are not drawn.
@@ -176,17 +176,17 @@ def ring_figure(
         axes.set_xlabel("reading, drive pair after drive pair")
         axes.set_ylabel("residual of the reading [%]")
         number = np.arange(expected.size).reshape(expected.shape)
-        for _, which, colour in kinds:
-            axes.plot(number[which], 100 * residual[which], ".", color=colour, markersize=2.5)
+        for _, kind_mask, colour in kinds:
+            axes.plot(number[kind_mask], 100 * residual[kind_mask], ".", color=colour, markersize=2.5)
         for limit in (-allowed, allowed):
             axes.axhline(100 * limit, color=INK, linewidth=0.8)
         return figure
 
-    worst = 100 * float(np.abs(np.where(used, residual, 0.0)).max())
+    worst_percent = 100 * float(np.abs(np.where(used, residual, 0.0)).max())
     return Figure(
         "Left: mean reading over the closed form of the ring; a perfect station lies on the line. Right: what is left"
         f" of each reading, of what is expected, between the limits of ±{100 * allowed:.3g} %.",
-        f"{int(used.sum())} readings against the closed form; the worst residual is {worst:.3g} %.",
+        f"{int(used.sum())} readings against the closed form; the worst residual is {worst_percent:.3g} %.",
         build(),
     )
 
@@ -199,12 +199,14 @@ def _draw_comparison(
     unit: str,
 ) -> None:
     """Left half: readings over the closed form, with the line of equality."""
-    scale, shown = scale_unit(float(np.abs(expected).max()), unit)
-    labels = {"x": f"closed form [{shown}]", "y": f"mean reading [{shown}]"}
+    scale, shown_unit = scale_unit(float(np.abs(expected).max()), unit)
+    labels = {"x": f"closed form [{shown_unit}]", "y": f"mean reading [{shown_unit}]"}
     axes = plot(figure, (0.09, 0.17, 0.33, 0.66), "Readings", grid="both", **labels)
     ends = np.array([expected.min(), expected.max()]) / scale
     axes.plot(ends, ends, color=FAINT, linewidth=0.8)
-    for label, which, colour in kinds:
-        if which.any():
-            axes.plot(expected[which] / scale, mean[which] / scale, "o", color=colour, markersize=3, label=label)
+    for label, kind_mask, colour in kinds:
+        if kind_mask.any():
+            axes.plot(
+                expected[kind_mask] / scale, mean[kind_mask] / scale, "o", color=colour, markersize=3, label=label
+            )
     axes.legend(frameon=False, fontsize=6.5, labelcolor=QUIET, loc="upper left")

@@ -38,18 +38,18 @@ def lines_figure(characterised: Characterisation) -> Canvas:
     """Draw changes between the pins and under the head against stress and strain, with line and band."""
     figure = canvas(4.3)
     grid = figure.add_gridspec(2, 2, left=0.09, right=0.985, bottom=0.095, top=0.945, hspace=0.5, wspace=0.24)
-    left: list[Axes] = []
+    left_axes: list[Axes] = []
     rows = (
         ("between the pins", "apparent", characterised.against_stress, characterised.against_strain),
         ("under the head", "local", characterised.local_against_stress, characterised.local_against_strain),
     )
-    for row, (where, change, against_stress, against_strain) in enumerate(rows):
-        stress = plot(figure, grid[row, 0], f"{where}, against stress", x="stress [kPa]", y="Δρ/ρ₀ [%]")
+    for row, (place_words, change, against_stress, against_strain) in enumerate(rows):
+        stress = plot(figure, grid[row, 0], f"{place_words}, against stress", x="stress [kPa]", y="Δρ/ρ₀ [%]")
         _draw_line(stress, characterised, against_stress, "stress_kPa", change, scale=1.0)
-        strain = plot(figure, grid[row, 1], f"{where}, against strain", x="strain [%]")
+        strain = plot(figure, grid[row, 1], f"{place_words}, against strain", x="strain [%]")
         _draw_line(strain, characterised, against_strain, "strain", change, scale=100.0)
-        left.append(stress)
-    fit_left(figure, grid, left)
+        left_axes.append(stress)
+    fit_left(figure, grid, left_axes)
     return figure
 
 
@@ -132,7 +132,7 @@ def _select_settlings(characterised: Characterisation, signal: str, loading: boo
 
 
 def _draw_relaxation(axes: Axes, characterised: Characterisation, settling: StrainSettling, count: int) -> float:
-    """One strain's mean trace and fit; returns where it ends."""
+    """Draw one strain's mean trace and fit; return where it ends."""
     scale = 100.0 if settling.signal == "conductance" else 1.0
     strains = sorted({level.strain for level in characterised.levels})
     colour = _STRAINS(strains.index(settling.strain or 0.0) / max(count - 1, 1))
@@ -143,8 +143,10 @@ def _draw_relaxation(axes: Axes, characterised: Characterisation, settling: Stra
         axes.plot(fine, scale * relaxation_value(settling.fit, fine), color=colour, linewidth=1.0, zorder=3)
         settled = settling.settling.value_s
         if settled is not None and not settling.settling.censored:
-            at = scale * relaxation_value(settling.fit, np.array([settled]))
-            axes.plot([settled], at, marker="|", markersize=7, markeredgewidth=1.2, color=VERMILION, zorder=4)
+            settled_value = scale * relaxation_value(settling.fit, np.array([settled]))
+            axes.plot(
+                [settled], settled_value, marker="|", markersize=7, markeredgewidth=1.2, color=VERMILION, zorder=4
+            )
     return scale * float(settling.values[-max(len(settling.values) // 8, 1) :].mean())
 
 
@@ -178,9 +180,9 @@ def _draw_settling(axes: Axes, characterised: Characterisation, signal: str, loa
         if settling.settling.value_s is not None
     ]
     for settling in members:
-        at = (100 * (settling.strain or 0) + shift, settling.settling.value_s or 0.0)
+        strain_and_time = (100 * (settling.strain or 0) + shift, settling.settling.value_s or 0.0)
         symbol, error = "^" if settling.settling.censored else "o", settling.stderr_s or 0.0
-        dots(axes, *at, colour, errors=error, hollow=not loading, fmt=symbol, capsize=2)
+        dots(axes, *strain_and_time, colour, errors=error, hollow=not loading, fmt=symbol, capsize=2)
     common = next(
         (o for o in characterised.settlings if (o.signal, o.loading, o.strain) == (signal, loading, None)), None
     )
@@ -189,5 +191,5 @@ def _draw_settling(axes: Axes, characterised: Characterisation, signal: str, loa
     value, error = common.settling.value_s, common.stderr_s or 0.0
     axes.axhline(value, color=colour, linewidth=0.8, linestyle="solid" if loading else DASHED, zorder=2)
     axes.axhspan(value - error, value + error, color=colour, alpha=0.1, linewidth=0, zorder=1)
-    words = f"after the {'press' if loading else 'release'}, all strains: {value:.3g} s"
-    note(axes, 0.99, 0.06 if loading else 0.15, words, colour, ha="right")
+    label = f"after the {'press' if loading else 'release'}, all strains: {value:.3g} s"
+    note(axes, 0.99, 0.06 if loading else 0.15, label, colour, ha="right")

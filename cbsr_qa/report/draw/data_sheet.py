@@ -47,30 +47,32 @@ def loop_figure(curves: Sequence[LoopCurve], read: Sequence[LoopCurve]) -> Canva
 
     Parameters
     ----------
-    curves, read : without what had not relaxed, and as they were read (may be empty).
+    curves, read : curves without what had not relaxed, and curves as they were read (may be empty).
     """
     figure = canvas(2.75)
     end_kPa = 1.04 * max(float(curve.stress_kPa[curve.peak]) for curve in curves)
     titles = ("way up (filled) and down (open)", "difference at equal stress")
-    left, right = _stress_pair(figure, end_kPa, titles, ("output [% of span]", "down less up [% of span]"))
+    output_axes, difference_axes = _stress_pair(
+        figure, end_kPa, titles, ("output [% of span]", "down less up [% of span]")
+    )
     for curve in curves:
-        _draw_loop(left, curve)
+        _draw_loop(output_axes, curve)
         falling = curve.stress_kPa[curve.peak + 1 :]
-        dots(right, falling, 100 * curve.difference, VERMILION, errors=100 * curve.stderr, hollow=True)
+        dots(difference_axes, falling, 100 * curve.difference, VERMILION, errors=100 * curve.stderr, hollow=True)
     for curve in read:
         falling = curve.stress_kPa[curve.peak + 1 :]
-        right.plot(falling, 100 * curve.difference, "x", markersize=4, color=QUIET, zorder=2.5)
-    right.axhline(0.0, color=FAINT, linewidth=0.9, zorder=1.5)
+        difference_axes.plot(falling, 100 * curve.difference, "x", markersize=4, color=QUIET, zorder=2.5)
+    difference_axes.axhline(0.0, color=FAINT, linewidth=0.9, zorder=1.5)
     return figure
 
 
 def _draw_loop(axes: Axes, curve: LoopCurve) -> None:
     peak, stress, output = curve.peak, curve.stress_kPa, 100 * curve.output
-    up, down = slice(0, peak + 1), slice(peak + 1, None)
-    axes.plot(np.append(0.0, stress[up]), np.append(0.0, output[up]), color=BLUE, linewidth=0.9, zorder=2)
+    loading, unloading = slice(0, peak + 1), slice(peak + 1, None)
+    axes.plot(np.append(0.0, stress[loading]), np.append(0.0, output[loading]), color=BLUE, linewidth=0.9, zorder=2)
     axes.plot(stress[peak:], output[peak:], color=VERMILION, linewidth=0.9, linestyle="--", zorder=2)
-    dots(axes, stress[up], output[up], BLUE)
-    dots(axes, stress[down], output[down], VERMILION, hollow=True)
+    dots(axes, stress[loading], output[loading], BLUE)
+    dots(axes, stress[unloading], output[unloading], VERMILION, hollow=True)
 
 
 @dataclass(frozen=True, slots=True)
@@ -101,8 +103,8 @@ def characteristic_figure(
 
     Parameters
     ----------
-    curves : of the locations, each with stresses and a positive span.
-    mean : over them, in shares of the span.
+    curves : curves of the locations, each with stresses and a positive span.
+    mean : mean curve over them, in shares of the span.
     line : through the mean.
     scatter : repeatability in shares of the span; None if unknown.
     """
@@ -110,13 +112,13 @@ def characteristic_figure(
     ends = np.array([0.0, 1.04 * _stress(mean)[-1]])
     titles = ("change against stress", "deviation from the best straight line")
     labels = ("change [% of the location's span]", "change less line [% of span]")
-    left, right = _stress_pair(figure, ends[1], titles, labels)
+    output_axes, deviation_axes = _stress_pair(figure, ends[1], titles, labels)
     lines = [np.column_stack([_stress(c), 100 * c.change / c.span]) for c in curves]
-    left.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
-    dots(left, _stress(mean), 100 * mean.change, BLUE, size=3.5)
-    left.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
-    left.set_ylim(bottom=min(0.0, 100 * line.intercept))
-    _draw_residuals(right, curves, mean, line, scatter)
+    output_axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
+    dots(output_axes, _stress(mean), 100 * mean.change, BLUE, size=3.5)
+    output_axes.plot(ends, 100 * (line.intercept + line.slope * ends), color=VERMILION, linewidth=0.9, zorder=2)
+    output_axes.set_ylim(bottom=min(0.0, 100 * line.intercept))
+    _draw_residuals(deviation_axes, curves, mean, line, scatter)
     return figure
 
 
@@ -124,12 +126,12 @@ def characteristic_figure(
 def place_maps_figure(maps: Sequence[PlaceMap], sensor: SensorType) -> Canvas:
     """Draw one or two sheets beside each other with a coloured disc at every place."""
     figure = canvas(3.05)
-    for number, shown in enumerate(maps):
+    for number, place_map in enumerate(maps):
         axes = sheet_axes(figure, (0.5 * number, 0.0, 0.4, 0.92), sensor)
-        norm, colours = _scale(shown)
-        _draw_values(axes, shown, sensor, norm, colours)
-        axes.set_title(shown.title, fontweight="normal")
-        add_scale(figure, axes, norm, colours, label=shown.unit, place="right")
+        norm, colours = _scale(place_map)
+        _draw_values(axes, place_map, sensor, norm, colours)
+        axes.set_title(place_map.title, fontweight="normal")
+        add_scale(figure, axes, norm, colours, label=place_map.unit, place="right")
     return figure
 
 
@@ -148,8 +150,8 @@ def _draw_residuals(
     lines = []
     for curve in curves:
         stress = _stress(curve)
-        left = 100 * (curve.change / curve.span - line.intercept - line.slope * stress)
-        lines.append(np.column_stack([stress, left]))
+        residual_percent = 100 * (curve.change / curve.span - line.intercept - line.slope * stress)
+        lines.append(np.column_stack([stress, residual_percent]))
     axes.add_collection(LineCollection(lines, colors=FAINT, linewidths=0.6, zorder=1.5))
     errors = None if scatter is None else 100 * scatter / np.sqrt(mean.loads)
     dots(axes, _stress(mean), 100 * line.deviations, BLUE, errors=errors, size=3.5)
@@ -163,12 +165,12 @@ def _draw_residuals(
 def _draw_values(axes: Axes, shown: PlaceMap, sensor: SensorType, norm: Normalize, colours: Colormap) -> None:
     radius_mm = disc_radius_mm([(place.x_mm, place.y_mm) for place in shown.places], sensor)
     for place in shown.places:
-        at, face = (place.x_mm, place.y_mm), colours(norm(place.value))
-        axes.add_patch(Circle(at, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.5, zorder=4))
+        centre_mm, face = (place.x_mm, place.y_mm), colours(norm(place.value))
+        axes.add_patch(Circle(centre_mm, radius_mm, facecolor=face, edgecolor=QUIET, linewidth=0.5, zorder=4))
         if len(shown.places) <= MOST_NAMES:
             red, green, blue, _ = face
             dark = 0.299 * red + 0.587 * green + 0.114 * blue < 0.5
-            name = axes.text(*at, place.label, ha="center", va="center", fontsize=6.5, zorder=6)
+            name = axes.text(*centre_mm, place.label, ha="center", va="center", fontsize=6.5, zorder=6)
             name.set_color("white" if dark else INK)
 
 

@@ -40,7 +40,7 @@ class PlacedLoad:
     label : short name.
     pressed : outline of the indenter where it pressed.
     imaged_mm : centre of mass of the sensed region; None without one.
-    estimated_mm, covariance_mm2 : of the estimate, (2,) and (2, 2); None where it was refused.
+    estimated_mm, covariance_mm2 : place and covariance of the estimate, (2,) and (2, 2); None where it was refused.
     """
 
     label: str

@@ -33,7 +33,7 @@ class ForcePanel:
 
     Parameters
     ----------
-    title : over the panel.
+    title : text over the panel.
     measured_N, estimated_N, stderr_N : (n,) each.
     sampled : (n,) loads at random places; the others are drawn as open marks.
     missed_N : forces of the loads without an estimate.
@@ -62,12 +62,12 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
     largest = 1.06 * max([float(part.max()) for part in values if len(part)] + [1e-6])
     reach = _reach_N(panels, flat)
     for number, panel in enumerate(panels):
-        left = 0.095 + 0.5 * number
+        panel_left = 0.095 + 0.5 * number
         labels = ("", "") if number else ("estimated force [N]", "estimated − measured [N]")
-        above = plot(figure, (left, 0.50, 0.395, 0.455), panel.title, y=labels[0], grid="both")
-        below = plot(figure, (left, 0.09, 0.395, 0.345), x="measured force [N]", y=labels[1])
-        _draw_estimates(above, panel, largest)
-        _draw_errors(below, panel, flat, largest, reach)
+        upper_axes = plot(figure, (panel_left, 0.50, 0.395, 0.455), panel.title, y=labels[0], grid="both")
+        lower_axes = plot(figure, (panel_left, 0.09, 0.395, 0.345), x="measured force [N]", y=labels[1])
+        _draw_estimates(upper_axes, panel, largest)
+        _draw_errors(lower_axes, panel, flat, largest, reach)
     return figure
 
 
@@ -106,13 +106,13 @@ def ratio_figure(points: RatioPoints) -> Canvas:
 
 def _reach_N(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> float:
     """Half the height of the panels of errors: all errors, and those of one response as far as there is room."""
-    own = [np.abs(p.estimated_N - p.measured_N) + 0.0 * p.stderr_N for p in panels]
+    errors_N = [np.abs(p.estimated_N - p.measured_N) + 0.0 * p.stderr_N for p in panels]
     stated = [2 * p.stderr_N for p in panels]
-    most = max([float(part.max()) for part in (*own, *stated) if len(part)] + [1e-6])
+    largest_N = max([float(part.max()) for part in (*errors_N, *stated) if len(part)] + [1e-6])
     if flat is None or not len(flat.measured_N):
-        return 1.12 * most
-    beside = float(np.abs(flat.estimated_N - flat.measured_N).max())
-    return 1.12 * max(most, min(beside, _FURTHEST * most))
+        return 1.12 * largest_N
+    flat_error_N = float(np.abs(flat.estimated_N - flat.measured_N).max())
+    return 1.12 * max(largest_N, min(flat_error_N, _FURTHEST * largest_N))
 
 
 def _draw_estimates(axes: Axes, panel: ForcePanel, largest_N: float) -> None:
@@ -137,18 +137,27 @@ def _draw_errors(axes: Axes, panel: ForcePanel, flat: ForcePanel | None, largest
     if flat is not None:
         error = flat.estimated_N - flat.measured_N
         edge, beyond = 0.985 * reach_N, np.abs(error) > reach_N
-        for which, symbol in ((~beyond, "D"), (beyond & (error > 0), "^"), (beyond & (error < 0), "v")):
-            at = np.clip(error[which], -edge, edge) if symbol != "D" else error[which]
-            axes.plot(flat.measured_N[which], at, symbol, clip_on=symbol == "D", **_FAINT_MARK)
+        for side_mask, symbol in ((~beyond, "D"), (beyond & (error > 0), "^"), (beyond & (error < 0), "v")):
+            shown_error = np.clip(error[side_mask], -edge, edge) if symbol != "D" else error[side_mask]
+            axes.plot(flat.measured_N[side_mask], shown_error, symbol, clip_on=symbol == "D", **_FAINT_MARK)
     _points(axes, panel, panel.estimated_N - panel.measured_N, None)
     axes.set_xlim(0, largest_N)
     axes.set_ylim(-reach_N, reach_N)
 
 
 def _points(axes: Axes, panel: ForcePanel, values: Array, errors: Array | None) -> None:
-    for which, hollow in ((panel.sampled, False), (~panel.sampled, True)):
-        stderr = None if errors is None else errors[which]
-        dots(axes, panel.measured_N[which], values[which], BLUE, errors=stderr, size=3.3, hollow=hollow, zorder=4)
+    for kind_mask, hollow in ((panel.sampled, False), (~panel.sampled, True)):
+        stderr = None if errors is None else errors[kind_mask]
+        dots(
+            axes,
+            panel.measured_N[kind_mask],
+            values[kind_mask],
+            BLUE,
+            errors=stderr,
+            size=3.3,
+            hollow=hollow,
+            zorder=4,
+        )
 
 
 def fit_stated_error(measured_N: Array, stderr_N: Array, force_N: Array) -> Array:
@@ -180,11 +189,11 @@ def _draw_ratios(axes: Axes, points: RatioPoints) -> None:
 
 def _draw_deviations(axes: Axes, points: RatioPoints) -> None:
     expected = np.interp(points.force_N, points.line_N, points.line)
-    left = np.sort(100 * (points.placed / expected - 1))
-    rank = (np.arange(len(left)) + 0.5) / len(left)
+    deviations_percent = np.sort(100 * (points.placed / expected - 1))
+    rank = (np.arange(len(deviations_percent)) + 0.5) / len(deviations_percent)
     axes.axvline(0.0, color=FAINT, linewidth=0.7, zorder=1)
-    dots(axes, left, 100 * rank, BLUE, size=3.0)
-    widest = 1.15 * max(float(np.abs(left).max()), 1e-3)
+    dots(axes, deviations_percent, 100 * rank, BLUE, size=3.0)
+    widest = 1.15 * max(float(np.abs(deviations_percent).max()), 1e-3)
     axes.set(xlim=(-widest, widest), ylim=(0, 100))
     axes.set_xlabel("residual after map and line [%]")
     axes.set_ylabel("cumulative share of loads [%]")

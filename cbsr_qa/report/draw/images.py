@@ -62,9 +62,9 @@ def _draw_phase(axes: Axes, phase: str, verdicts: Sequence[LocationVerdict], sen
     radius_mm = disc_radius_mm([(verdict.x_mm, verdict.y_mm) for verdict in verdicts], sensor, least=0.06)
     # The worst last, so that none hides below a neighbour that passed.
     for verdict in sorted(verdicts, key=lambda v: -SEVERITY.index(v.outcome)):
-        at, sign = (verdict.x_mm, verdict.y_mm), SIGNS[verdict.outcome]
-        axes.add_patch(Circle(at, radius_mm, zorder=4, **_LOOK[verdict.outcome]))
-        text = axes.text(*at, f"{sign}\n{verdict.label}" if len(verdicts) <= MOST_NAMES else sign)
+        centre_mm, sign = (verdict.x_mm, verdict.y_mm), SIGNS[verdict.outcome]
+        axes.add_patch(Circle(centre_mm, radius_mm, zorder=4, **_LOOK[verdict.outcome]))
+        text = axes.text(*centre_mm, f"{sign}\n{verdict.label}" if len(verdicts) <= MOST_NAMES else sign)
         text.set(ha="center", va="center", fontsize=5.5, linespacing=0.95, zorder=6)
         text.set_color("white" if verdict.outcome is Outcome.FAIL else INK)
         text.set_fontweight("normal" if verdict.outcome is Outcome.PASS else "bold")
@@ -91,7 +91,7 @@ class ImagePanel:
 
     Parameters
     ----------
-    track : (n, 2) in the unit of the image's mesh, in order of time; None where nothing moves.
+    track : (n, 2) places in the unit of the image's mesh, in order of time; None where nothing moves.
     """
 
     title: str
@@ -114,21 +114,21 @@ def image_figure(
 
     Parameters
     ----------
-    panels : at least one; all in the same unit of length.
+    panels : panels, at least one; all in the same unit of length.
     sheet : its outline in that unit (a disc of radius 1 where lengths are in units of the radius).
     electrodes : drawn and numbered where they are known, on a disc's edge where the disc is in another unit.
-    columns : at most this many side by side.
+    columns : largest number of panels side by side.
     shared_scale : one colour scale for all, below them; otherwise each image has its own below it.
     """
-    across = min(columns, len(panels))
+    columns_used = min(columns, len(panels))
     each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
-    figure, places = _laid_out(len(panels), across, each_in=each_in, below_in=below_in)
+    figure, places = _laid_out(len(panels), columns_used, each_in=each_in, below_in=below_in)
     sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
     rasters: dict[int, Raster] = {}
     for panel, size, axes in zip(panels, sizes, places, strict=True):
         mesh = panel.image.mesh
         if id(mesh) not in rasters:
-            rasters[id(mesh)] = Raster(mesh, sheet, 420 if across < 3 else 300)
+            rasters[id(mesh)] = Raster(mesh, sheet, 420 if columns_used < 3 else 300)
         _draw_panel(axes, panel, rasters[id(mesh)], sheet, max(sizes) if shared_scale else size)
         if electrodes is not None:
             draw_electrodes(axes, electrodes, sheet)
@@ -164,9 +164,9 @@ def _laid_out(count: int, across: int, *, each_in: float = 0.0, below_in: float 
 
 
 def _draw_scale(figure: Canvas, largest: float) -> None:
-    whole = figure.add_axes((0, 0, 1, 1))
-    whole.set_axis_off()
-    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=_SCALE_LABEL, place="bottom")
+    whole_axes = figure.add_axes((0, 0, 1, 1))
+    whole_axes.set_axis_off()
+    add_scale(figure, whole_axes, change_norm(100 * largest), CHANGE_MAP, label=_SCALE_LABEL, place="bottom")
 
 
 def _draw_own_scale(figure: Canvas, axes: Axes, largest: float) -> None:
@@ -192,10 +192,10 @@ def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutli
         axes.plot([marker.x], [marker.y], marker="+", markersize=8, color="white", markeredgewidth=2.6, zorder=7)
         axes.plot([marker.x], [marker.y], marker="+", markersize=7, color=INK, markeredgewidth=1.1, zorder=8)
         if marker.label:
-            left = marker.x > 0.5 * radius
-            shift = -0.09 * radius if left else 0.09 * radius
+            label_left = marker.x > 0.5 * radius
+            shift = -0.09 * radius if label_left else 0.09 * radius
             label = axes.text(marker.x + shift, marker.y + 0.09 * radius, marker.label, zorder=9)
-            label.set(ha="right" if left else "left", va="bottom", fontsize=7, fontweight="bold")
+            label.set(ha="right" if label_left else "left", va="bottom", fontsize=7, fontweight="bold")
             label.set_bbox(
                 {"facecolor": "white", "alpha": 0.75, "linewidth": 0, "pad": 1.0}
             )  # readable on dark images

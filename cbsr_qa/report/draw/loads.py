@@ -60,12 +60,13 @@ class SeenLoad:
     Parameters
     ----------
     label, title : short name; name with strain or trial.
-    x_mm, y_mm, radius_mm, strain : what was pressed; the radius of a head that is not round is that of its area.
+    x_mm, y_mm, radius_mm, strain : place, radius and strain of the press; the radius of a head that is not round is
+        that of its area.
     pressed : the head's outline there.
     image : un-subtracted.
     sensed : region of the main mask; None where nothing was seen.
     error_mm, overlap_percent : None where not measured.
-    outcome, overlap_outcome : of the centre-of-mass error, and of the overlap.
+    outcome, overlap_outcome : outcomes of the centre-of-mass error and of the overlap.
     group : heading it stands under, e.g. the phase.
     """
 
@@ -116,10 +117,10 @@ def load_images_figure(loads: Sequence[SeenLoad], sensor: SensorType, *, columns
     draw_heads(axes, heads, color=VERMILION)
     axes.set_xlim(0, columns * cell_x)
     axes.set_ylim(-rows * cell_y, 0)
-    whole = figure.add_axes((0, 0, 1, 1))
-    whole.set_axis_off()
+    whole_axes = figure.add_axes((0, 0, 1, 1))
+    whole_axes.set_axis_off()
     label = "conductance change Δγ/γ₀ [%]"
-    add_scale(figure, whole, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
+    add_scale(figure, whole_axes, change_norm(100 * largest), CHANGE_MAP, label=label, place="bottom")
     return figure
 
 
@@ -158,12 +159,12 @@ def random_loads_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas
     _draw_polar(axes, loads, sensor)
     side = plot(figure, (0.66, 0.14, 0.31, 0.74), "error E_CoM [mm]", x="compressive strain [%]")
     for load in loads:
-        at = (100 * load.strain, load.error_mm or 0.0)
+        strain_and_error = (100 * load.strain, load.error_mm or 0.0)
         if load.error_mm is None:
-            side.plot(*at, marker="x", color=VERMILION, clip_on=False, zorder=4)
+            side.plot(*strain_and_error, marker="x", color=VERMILION, clip_on=False, zorder=4)
         else:
-            dots(side, *at, BLUE)
-            annotate(side, load.label, at, (3.5, 2.5), QUIET, fontsize=6.5)
+            dots(side, *strain_and_error, BLUE)
+            annotate(side, load.label, strain_and_error, (3.5, 2.5), QUIET, fontsize=6.5)
     largest_mm = max([load.error_mm for load in loads if load.error_mm is not None], default=0.0)
     side.set_xlim(0, max(32.0, 105 * max(load.strain for load in loads)))
     side.set_ylim(0, 1.2 * largest_mm or 1.0)
@@ -175,8 +176,8 @@ def arrow_scale(loads: Sequence[SeenLoad]) -> int:
     errors = [load.error_mm for load in loads if load.error_mm]
     if not errors:
         return 1
-    wanted = 0.7 * loads[0].radius_mm / float(np.median(errors))
-    return max((scale for scale in _ARROW_SCALES if scale <= wanted), default=1)
+    wanted_scale = 0.7 * loads[0].radius_mm / float(np.median(errors))
+    return max((scale for scale in _ARROW_SCALES if scale <= wanted_scale), default=1)
 
 
 def _draw_small(axes: Axes, load: SeenLoad, raster: Raster, shift: tuple[float, float], largest: float) -> None:
@@ -200,11 +201,11 @@ def _write_small(axes: Axes, load: SeenLoad, centre: tuple[float, float], half: 
 def _draw_places(axes: Axes, loads: Sequence[SeenLoad], scale: int) -> None:
     heads = {(load.x_mm, load.y_mm): head_path(load.pressed) for load in loads}
     draw_heads(axes, list(heads.values()), color=QUIET, dashed=True)
-    seen = [(load, load.sensed) for load in loads if load.sensed is not None]
-    draw_outlines(axes, [region_path(region) for _, region in seen], color=BLUE, face="#0072b218")
-    if seen:
-        start = np.array([load.pressed.centre_mm for load, _ in seen])
-        error = np.array([region.centre_mm() for _, region in seen]) - start
+    loads_and_regions = [(load, load.sensed) for load in loads if load.sensed is not None]
+    draw_outlines(axes, [region_path(region) for _, region in loads_and_regions], color=BLUE, face="#0072b218")
+    if loads_and_regions:
+        start = np.array([load.pressed.centre_mm for load, _ in loads_and_regions])
+        error = np.array([region.centre_mm() for _, region in loads_and_regions]) - start
         shape: dict[str, Any] = {
             "width": 0.005,
             "headwidth": 4,
@@ -228,9 +229,9 @@ def _draw_dots(axes: Axes, order: list[str], values: list[tuple[str, float | Non
         failed = outcome in (Outcome.FAIL, Outcome.NOT_MEASURED)
         dots(axes, value, rank[label], VERMILION if failed else BLUE, fmt="D" if failed else "o", clip_on=False)
     for label in order:
-        known = [value for name, value, _ in values if name == label and value is not None]
-        if len(known) > 1:
-            axes.plot([min(known), max(known)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
+        label_values = [value for name, value, _ in values if name == label and value is not None]
+        if len(label_values) > 1:
+            axes.plot([min(label_values), max(label_values)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
     name_rows(axes, order)
 
 
@@ -270,16 +271,16 @@ def _draw_rays(axes: Axes, radius: float) -> None:
 def _draw_grid(axes: Axes, sheet: SheetOutline) -> None:
     """Lines of x and y of any other sheet, cut at its edge."""
     low_x, high_x, low_y, high_y = sheet.extent_mm
-    step, out = (10.0 if reach(sheet) <= 60 else 25.0), 0.05 * reach(sheet)
+    step, label_gap_mm = (10.0 if reach(sheet) <= 60 else 25.0), 0.05 * reach(sheet)
     edge = sheet_patch(sheet)
     edge.set(facecolor="none", edgecolor="none")
     axes.add_patch(edge)
     for x in np.arange(np.ceil(low_x / step), np.floor(high_x / step) + 1) * step:
         axes.plot([x, x], [low_y, high_y], color=_GRID, linewidth=0.5, zorder=1, clip_path=edge)
-        axes.text(x, low_y - out, f"{x:g}", ha="center", va="top", fontsize=6, color=QUIET)
+        axes.text(x, low_y - label_gap_mm, f"{x:g}", ha="center", va="top", fontsize=6, color=QUIET)
     for y in np.arange(np.ceil(low_y / step), np.floor(high_y / step) + 1) * step:
         axes.plot([low_x, high_x], [y, y], color=_GRID, linewidth=0.5, zorder=1, clip_path=edge)
-        axes.text(low_x - out, y, f"{y:g}", ha="right", va="center", fontsize=6, color=QUIET)
+        axes.text(low_x - label_gap_mm, y, f"{y:g}", ha="right", va="center", fontsize=6, color=QUIET)
 
 
 def _label_polar(axes: Axes, loads: Sequence[SeenLoad], radius: float) -> None:

@@ -79,8 +79,10 @@ def _draw_head(axes: Axes, place: BaselineConductance, head: Path, norm: Normali
 
 
 def _draw_values(axes: Axes, places: Sequence[BaselineConductance], mean: float) -> None:
-    known = [(row, place.value, place.stderr or 0.0) for row, place in enumerate(places) if place.value is not None]
-    rows, values, errors = zip(*known, strict=True)
+    known_rows = [
+        (row, place.value, place.stderr or 0.0) for row, place in enumerate(places) if place.value is not None
+    ]
+    rows, values, errors = zip(*known_rows, strict=True)
     dots(axes, values, rows, BLUE, size=3.5, xerr=errors)
     axes.axvline(mean, color=INK, linewidth=0.8)
     name_rows(axes, [place.location for place in places])
@@ -96,10 +98,10 @@ class SheetField:
 
     Parameters
     ----------
-    title, unit : over the map and at its scale.
+    title, unit : texts over the map and at its scale.
     x_mm, y_mm, values : (n,), (m,) and (m, n).
     about : centre of a scale in two colours; None for one from zero up.
-    least_reach : of that scale to both sides, so that an even sheet is not drawn as an uneven one.
+    least_reach : least reach of that scale to both sides, so that an even sheet is not drawn as an uneven one.
     """
 
     title: str
@@ -121,7 +123,7 @@ def force_map_figure(
     ----------
     fields : one or two.
     used_mm, refused_mm : (n, 2) places of the loads.
-    radius_mm : of the calibrated area, dashed.
+    radius_mm : radius of the calibrated area [mm], dashed.
     """
     figure = canvas(3.35)
     for number, field in enumerate(fields):
@@ -141,8 +143,8 @@ def _inside(field: SheetField, sensor: SensorType) -> Array:
     """Values on the sheet: the scale covers them and nothing beyond."""
     x, y = np.meshgrid(field.x_mm, field.y_mm)
     on = sensor.outline.clearance_mm(np.column_stack([x.ravel(), y.ravel()])) >= 0
-    kept: Array = field.values.ravel()[on & np.isfinite(field.values.ravel())]
-    return kept if len(kept) else np.array([field.about or 0.0])
+    finite_values: Array = field.values.ravel()[on & np.isfinite(field.values.ravel())]
+    return finite_values if len(finite_values) else np.array([field.about or 0.0])
 
 
 def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
@@ -154,9 +156,9 @@ def _scale(field: SheetField, values: Array) -> tuple[Array, Colormap]:
     steps = MaxNLocator(_STEPS, steps=[1, 2, 2.5, 5, 10])
     levels = np.asarray(steps.tick_values(field.about - reach, field.about + reach), dtype=np.float64)
     middle = (levels[:-1] + levels[1:]) / 2
-    far = max(levels[-1] - field.about, field.about - levels[0])
+    farthest = max(levels[-1] - field.about, field.about - levels[0])
     # Two thirds of the range: text and marks on it stay readable.
-    return levels, ListedColormap(CHANGE_MAP(0.5 + 0.36 * (middle - field.about) / far))
+    return levels, ListedColormap(CHANGE_MAP(0.5 + 0.36 * (middle - field.about) / farthest))
 
 
 def round_levels(least: float, most: float) -> Array:

@@ -100,17 +100,17 @@ def average_over_holds(time_s: Array, values: Array, held: Sequence[Held]) -> tu
     """
     series = []
     for stretch in held:
-        inside = (time_s >= stretch.start_s) & (time_s < stretch.end_s)
-        series.append((time_s[inside] - stretch.start_s, values[inside]))
+        inside_mask = (time_s >= stretch.start_s) & (time_s < stretch.end_s)
+        series.append((time_s[inside_mask] - stretch.start_s, values[inside_mask]))
     longest = max((len(s[0]) for s in series), default=0)
     times, table = np.full((len(series), longest), np.nan), np.full((len(series), longest), np.nan)
-    for row, (since, seen) in enumerate(series):
-        times[row, : len(since)], table[row, : len(seen)] = since, seen
-    enough = np.isfinite(table).sum(axis=0) * 2 >= max(len(series), 1)
-    if not enough.any():
+    for row, (hold_times, hold_values) in enumerate(series):
+        times[row, : len(hold_times)], table[row, : len(hold_values)] = hold_times, hold_values
+    covered_mask = np.isfinite(table).sum(axis=0) * 2 >= max(len(series), 1)
+    if not covered_mask.any():
         empty = np.zeros(0)
         return empty, empty, empty, empty
-    times, table = times[:, enough], table[:, enough]
+    times, table = times[:, covered_mask], table[:, covered_mask]
     low, high = np.nanpercentile(table, (25, 75), axis=0)
     return np.nanmean(times, axis=0), np.nanmean(table, axis=0), low, high
 
@@ -120,16 +120,26 @@ def _draw_masks(axes: Axes, timeline: MetricTimeline, values: Array, held: Seque
     for number, series in enumerate(values):
         colour = mask_colour(number, len(values))
         for stretch in held:
-            inside = (timeline.time_s >= stretch.start_s) & (timeline.time_s < stretch.end_s)
-            axes.plot(minutes[inside], series[inside], color=colour, linewidth=0.9 + 0.12 * number, zorder=3 + number)
+            inside_mask = (timeline.time_s >= stretch.start_s) & (timeline.time_s < stretch.end_s)
+            axes.plot(
+                minutes[inside_mask],
+                series[inside_mask],
+                color=colour,
+                linewidth=0.9 + 0.12 * number,
+                zorder=3 + number,
+            )
     _scale(axes, values)
     axes.set_zorder(2)
 
 
 def _scale(axes: Axes, values: Array) -> None:
     """Start at zero; where masks differ by more than a factor of thirty, use powers of ten instead."""
-    seen = values[np.isfinite(values)]
-    if seen.size and seen.min() > 0 and np.percentile(seen, 98) / np.percentile(seen, 2) > 30:
+    finite_values = values[np.isfinite(values)]
+    if (
+        finite_values.size
+        and finite_values.min() > 0
+        and np.percentile(finite_values, 98) / np.percentile(finite_values, 2) > 30
+    ):
         axes.set_yscale("log")
         axes.yaxis.set_major_formatter(FuncFormatter(lambda value, _: f"{value:g}"))
         axes.yaxis.set_minor_formatter(NullFormatter())
@@ -148,26 +158,28 @@ def _draw_force(
 ) -> None:
     if force is None or not len(force):
         return
-    behind = axes.twinx()
-    behind.set_zorder(1)
+    force_axes = axes.twinx()
+    force_axes.set_zorder(1)
     end_s = held[-1].end_s + 5 if held else float(force.time_s[-1])
-    inside = (force.time_s >= start_s - 5) & (force.time_s <= end_s)
-    time_s, newtons = thin_trace(force.time_s[inside], force.values[inside], 700)
-    behind.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
-    behind.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
-    behind.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
+    inside_mask = (force.time_s >= start_s - 5) & (force.time_s <= end_s)
+    time_s, newtons = thin_trace(force.time_s[inside_mask], force.values[inside_mask], 700)
+    force_axes.fill_between((time_s - start_s) / 60, 0, newtons, color=_FORCE, linewidth=0, alpha=0.75)
+    force_axes.set_ylim(0, 1.25 * max(float(newtons.max(initial=0.0)), 1e-9))
+    force_axes.tick_params(colors=_FORCE_INK, labelcolor=_FORCE_INK, right=labelled, labelright=labelled)
     if labelled:
-        behind.spines["right"].set(visible=True, color=_FORCE_INK)
-        behind.set_ylabel("force [N]", color=_FORCE_INK)
+        force_axes.spines["right"].set(visible=True, color=_FORCE_INK)
+        force_axes.set_ylabel("force [N]", color=_FORCE_INK)
     axes.patch.set_visible(False)
 
 
 def _name_loads(axes: Axes, held: Sequence[Held], start_s: float) -> None:
-    across = blended_transform_factory(axes.transData, axes.transAxes)
+    data_and_axes = blended_transform_factory(axes.transData, axes.transAxes)
     every = max(1, len(held) // 18)
     for stretch in held[::every]:
         middle = ((stretch.start_s + stretch.end_s) / 2 - start_s) / 60
-        axes.text(middle, 1.03, stretch.label, transform=across, ha="center", va="bottom", fontsize=7, color=INK)
+        axes.text(
+            middle, 1.03, stretch.label, transform=data_and_axes, ha="center", va="bottom", fontsize=7, color=INK
+        )
 
 
 def _name_masks(axes: Axes, masks: Sequence[float]) -> None:

@@ -54,32 +54,32 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     figure = canvas(2.35)
     label = name if curve.discrete else f"{name} (no unit)"
     boxes = ((0.07, 0.175, 0.3, 0.72), (0.44, 0.175, 0.29, 0.72))
-    whole = plot(figure, boxes[0], "whole search", x=label, y="noise figure", grid="both")
-    close = plot(figure, boxes[1], "around the choices", x=label, grid="both")
-    across = near_marks(curve, marks)
-    for axes in (whole, close):
+    whole_search = plot(figure, boxes[0], "whole search", x=label, y="noise figure", grid="both")
+    around_choices = plot(figure, boxes[1], "around the choices", x=label, grid="both")
+    close_range = near_marks(curve, marks)
+    for axes in (whole_search, around_choices):
         axes.set(yscale="log", xscale="linear" if curve.discrete else "log")
         _draw_curve(axes, curve)
-    _draw_marks(whole, [(order, mark) for order, mark in enumerate(marks) if mark.chosen])
-    _draw_marks(close, list(enumerate(marks)))
-    inside = curve.noise_figures[np.isfinite(curve.noise_figures)]
-    whole.set_ylim(0.7 * float(inside.min()), 1.4 * min(float(inside.max()), _LARGEST))
-    whole.axvspan(*across, color=HAIR, linewidth=0, zorder=0)
-    close.set_xlim(*across)
-    close.set_ylim(*_heights(curve, marks, across))
-    for axes in (whole, close):
+    _draw_marks(whole_search, [(order, mark) for order, mark in enumerate(marks) if mark.chosen])
+    _draw_marks(around_choices, list(enumerate(marks)))
+    finite_figures = curve.noise_figures[np.isfinite(curve.noise_figures)]
+    whole_search.set_ylim(0.7 * float(finite_figures.min()), 1.4 * min(float(finite_figures.max()), _LARGEST))
+    whole_search.axvspan(*close_range, color=HAIR, linewidth=0, zorder=0)
+    around_choices.set_xlim(*close_range)
+    around_choices.set_ylim(*_heights(curve, marks, close_range))
+    for axes in (whole_search, around_choices):
         _label_ticks(axes, discrete=curve.discrete)
     if curve.target is not None:
         look = {"xycoords": ("axes fraction", "data"), "ha": "right", "va": "bottom"}
-        annotate(close, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
-    _name_marks(close, marks, discrete=curve.discrete)
+        annotate(around_choices, f"target {curve.target:g}", (1.0, curve.target), (-2, 2), QUIET, **look)
+    _name_marks(around_choices, marks, discrete=curve.discrete)
     return figure
 
 
 def near_marks(curve: ParameterCurve, marks: Sequence[ParameterMark]) -> tuple[float, float]:
     """Return the stretch of the parameter that is drawn large."""
-    seen = [mark.value for mark in marks if mark.value is not None] or [float(np.median(curve.values))]
-    low, high = min(seen), max(seen)
+    mark_values = [mark.value for mark in marks if mark.value is not None] or [float(np.median(curve.values))]
+    low, high = min(mark_values), max(mark_values)
     if curve.discrete:
         return max(low - _COUNTS_AROUND, 0.5), high + _COUNTS_AROUND
     return low / _AROUND, high * _AROUND
@@ -95,10 +95,10 @@ def _heights(
 ) -> tuple[float, float]:
     """Return limits that show the curve there, its marks and the target."""
     within: NDArray[np.bool_] = (curve.values >= across[0]) & (curve.values <= across[1])
-    seen = [float(value) for value in curve.noise_figures[within] if np.isfinite(value)]
-    seen += [mark.noise_figure for mark in marks if mark.noise_figure is not None]
-    seen += [] if curve.target is None else [curve.target]
-    return min(seen) / 1.25, min(max(seen), _LARGEST) * 1.25
+    shown_figures = [float(value) for value in curve.noise_figures[within] if np.isfinite(value)]
+    shown_figures += [mark.noise_figure for mark in marks if mark.noise_figure is not None]
+    shown_figures += [] if curve.target is None else [curve.target]
+    return min(shown_figures) / 1.25, min(max(shown_figures), _LARGEST) * 1.25
 
 
 def _label_ticks(axes: Axes, *, discrete: bool) -> None:
@@ -158,11 +158,11 @@ def _name_marks(axes: Axes, marks: Sequence[ParameterMark], *, discrete: bool) -
     """Write a key beside the axes: each criterion with its value and the noise figure there."""
     for order, mark in enumerate(marks):
         height = 0.97 - 0.25 * order
-        shown = "no answer"
+        value_words = "no answer"
         if mark.value is not None:
-            shown = value_text(mark.value, discrete=discrete)
-            shown += "" if mark.noise_figure is None else f", noise figure {number(mark.noise_figure)}"
+            value_words = value_text(mark.value, discrete=discrete)
+            value_words += "" if mark.noise_figure is None else f", noise figure {number(mark.noise_figure)}"
             axes.plot([1.06], [height], transform=axes.transAxes, clip_on=False, **_look(order, chosen=mark.chosen))
         title = f"{mark.title} (chosen)" if mark.chosen else mark.title
         note(axes, 1.1, height, title, va="center", fontweight="bold" if mark.chosen else "normal")
-        note(axes, 1.1, height - 0.085, shown, QUIET, va="center")
+        note(axes, 1.1, height - 0.085, value_words, QUIET, va="center")

@@ -33,7 +33,7 @@ def cross_validation_figure(
     ----------
     places_mm, found_mm : (n, 2).
     levels, held : (k,) shares that regions state, and those found.
-    edge_mm, numbers_mm : (·, 2) of the sheet, and where numbers of electrodes go; None if unknown how it lies.
+    edge_mm, numbers_mm : (·, 2) edge of the sheet, and places of electrode numbers; None if its pose is unknown.
     """
     figure = canvas(3.3)
     axes = figure.add_axes((0.0, 0.02, 0.44, 0.94))

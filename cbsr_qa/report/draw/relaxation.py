@@ -43,19 +43,19 @@ def agreement_figure(compared: Sequence[DirectedAgreement]) -> Canvas:
     figure, grid = _panels(3.3, 2, len(compared), hspace=0.18, height_ratios=(1.2, 1.0))
     labelled: list[Axes] = []
     for column, agreement in enumerate(compared):
-        curves, after = agreement.found.curves, "press" if agreement.loading else "release"
-        above = plot(figure, grid[0, column], f"after the {after}")
+        curves, direction = agreement.found.curves, "press" if agreement.loading else "release"
+        upper_axes = plot(figure, grid[0, column], f"after the {direction}")
         if curves is None:
-            note(above, 0.5, 0.5, "not compared", QUIET, ha="center")
-            above.set_axis_off()
+            note(upper_axes, 0.5, 0.5, "not compared", QUIET, ha="center")
+            upper_axes.set_axis_off()
             continue
-        below = plot(figure, grid[1, column], x=_TIME_LABEL)
-        _draw_curves(above, curves, agreement)
-        _draw_difference(below, curves, str(agreement.found.shape))
+        lower_axes = plot(figure, grid[1, column], x=_TIME_LABEL)
+        _draw_curves(upper_axes, curves, agreement)
+        _draw_difference(lower_axes, curves, str(agreement.found.shape))
         if column == 0:
-            above.set_ylabel("share of the change")
-            below.set_ylabel("difference")
-            labelled += [above, below]
+            upper_axes.set_ylabel("share of the change")
+            lower_axes.set_ylabel("difference")
+            labelled += [upper_axes, lower_axes]
     fit_left(figure, grid, labelled)
     return figure
 
@@ -68,13 +68,13 @@ def _panels(height_in: float, rows: int, columns: int, **spaces: Any) -> tuple[C
 
 
 def _draw_curves(axes: Axes, curves: ComparedCurves, agreement: DirectedAgreement) -> None:
-    for values, stderr, colour, words in (
+    for values, stderr, colour, label in (
         (curves.first, curves.first_stderr, VERMILION, agreement.first),
         (curves.second, curves.second_stderr, BLUE, agreement.second),
     ):
         band = _NINETY * stderr
         axes.fill_between(curves.time_s, values - band, values + band, color=colour, alpha=0.15, linewidth=0)
-        axes.plot(curves.time_s, values, color=colour, linewidth=1.1, label=words)
+        axes.plot(curves.time_s, values, color=colour, linewidth=1.1, label=label)
     axes.set_xlim(0, float(curves.time_s[-1]))
     axes.tick_params(labelbottom=False)
     axes.legend(frameon=False, fontsize=7, loc="lower right" if agreement.loading else "upper right")
@@ -125,8 +125,8 @@ def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals:
     figure, grid = _panels(1.75 * len(signals) + 0.45, len(signals), 2, hspace=0.34)
     labelled: list[Axes] = []
     for row, signal in enumerate(signals):
-        for column, (loading, words) in enumerate(_DIRECTIONS):
-            axes = plot(figure, grid[row, column], f"{signal} {words}")
+        for column, (loading, direction) in enumerate(_DIRECTIONS):
+            axes = plot(figure, grid[row, column], f"{signal} {direction}")
             _draw_quiet(axes, [load.one(signal, loading) for load in loads if load is not shown])
             _draw_fit(axes, shown.one(signal, loading))
             axes.set_xlim(left=0)
@@ -150,8 +150,8 @@ def settling_figure(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Can
     figure, grid = _panels(height_in, len(signals), 1, hspace=0.3, **edges)
     for row, signal in enumerate(signals):
         axes = plot(figure, grid[row], signal, y="settling [s]")
-        for loading, words in _DIRECTIONS:
-            _draw_settling(axes, loads, signal, loading, words)
+        for loading, direction in _DIRECTIONS:
+            _draw_settling(axes, loads, signal, loading, direction)
         times = [r.settling.value_s for load in loads for r in load.relaxations if r.signal == signal]
         latest = max((value for value in times if value), default=1.0)
         axes.set_ylim(0, 1.12 * latest)
@@ -194,8 +194,8 @@ def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> Non
     sign = "≥ " if late else ""
     axes.axvline(settled_s, color=VERMILION, linewidth=0.9, linestyle=DASHED, zorder=2)
     ha, shift = ("right", (-3, -2)) if settled_s > 0.6 * end_s else ("left", (3, -2))
-    words, across = f"settled {sign}{settled_s:.1f} s", ("data", "axes fraction")
-    annotate(axes, words, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
+    label, across = f"settled {sign}{settled_s:.1f} s", ("data", "axes fraction")
+    annotate(axes, label, (settled_s, 1.0), shift, VERMILION, xycoords=across, ha=ha, va="top")
 
 
 def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loading: bool, words: str) -> None:
@@ -237,5 +237,5 @@ def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> No
 
 def _axis_label(signal: str, loads: Sequence[SettledLoad]) -> str:
     unit = next((r.trace.unit for load in loads for r in load.relaxations if r.signal == signal), "")
-    shown = unit_shown(unit)
-    return f"{signal} [{shown}]" if shown else f"{signal} change"
+    shown_unit = unit_shown(unit)
+    return f"{signal} [{shown_unit}]" if shown_unit else f"{signal} change"

@@ -29,12 +29,12 @@ Point = tuple[float, float]
 def rings(region: Region) -> list[Array]:
     """Trace a region's perimeter: closed rings (n, 2) [mm], outer ones counterclockwise, holes clockwise."""
     starts, ends = region.rim_mm()
-    following: dict[Point, list[Point]] = defaultdict(list)
+    next_points: dict[Point, list[Point]] = defaultdict(list)
     for start, end in zip(map(tuple, starts.tolist()), map(tuple, ends.tolist()), strict=True):
-        following[start].append(end)
+        next_points[start].append(end)
     rings = []
-    while following:
-        rings.append(np.array(_ring(following)))
+    while next_points:
+        rings.append(np.array(_ring(next_points)))
     return rings
 
 
@@ -69,7 +69,7 @@ class Raster:
 
     Parameters
     ----------
-    mesh : of the images.
+    mesh : mesh of the images.
     sheet : its outline, in the mesh's unit; the picture ends where it does.
     pixels : along the longer side; they are square.
     """
@@ -95,9 +95,9 @@ class Raster:
         return np.ma.MaskedArray(values[np.where(outside, 0, self.elements)], mask=outside)
 
 
-#: More places than this are too close for their names.
+#: Largest number of places that have room for their names.
 MOST_NAMES: Final = 16
-#: A circle of this many sides is round in print.
+#: Number of sides with which a circle is round in print.
 _SIDES: Final = 72
 
 Shift = tuple[float, float]
@@ -120,10 +120,10 @@ def show_sheet(axes: Axes, sensor: SensorType, *, numbered: bool = True) -> None
 
 def disc_radius_mm(places_mm: Sequence[tuple[float, float]], sensor: SensorType, least: float = 0.03) -> float:
     """Radius of discs that lets most neighbours stand clear; at least ``least`` of the sheet's radius."""
-    at = np.array(places_mm)
-    apart = np.hypot(*(at[:, None, :] - at[None, :, :]).transpose(2, 0, 1))
-    apart[apart < 1e-9] = np.inf
-    nearest = min(float(np.median(apart.min(axis=1))), sensor.radius_mm)
+    centres_mm = np.array(places_mm)
+    distances_mm = np.hypot(*(centres_mm[:, None, :] - centres_mm[None, :, :]).transpose(2, 0, 1))
+    distances_mm[distances_mm < 1e-9] = np.inf
+    nearest = min(float(np.median(distances_mm.min(axis=1))), sensor.radius_mm)
     return float(np.clip(0.46 * nearest, least * sensor.radius_mm, 0.15 * sensor.radius_mm))
 
 
@@ -155,7 +155,7 @@ def draw_electrodes(axes: Axes, electrodes: Electrodes, sheet: SheetOutline, *, 
 
     Parameters
     ----------
-    sheet : as drawn; a ring on a disc is scaled to it where a drawing is in units of the radius.
+    sheet : sheet as drawn; a ring on a disc is scaled to it where a drawing is in units of the radius.
     numbered : every number where there is room, else only electrode 0.
     """
     if isinstance(electrodes, ElectrodeLayout) and isinstance(sheet, Disc):
@@ -176,8 +176,8 @@ def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
         pins = direction * ring
         axes.scatter(pins[:, 0], pins[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
-        half = layout.width_mm / layout.ring_radius_mm / 2
-        arcs = [_arc(angle - half, angle + half, radius_mm) for angle in angles]
+        half_angle = layout.width_mm / layout.ring_radius_mm / 2
+        arcs = [_arc(angle - half_angle, angle + half_angle, radius_mm) for angle in angles]
         axes.add_collection(LineCollection(arcs, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     return direction * radius_mm * 1.075
 
@@ -185,17 +185,19 @@ def _draw_ring(axes: Axes, layout: ElectrodeLayout, radius_mm: float) -> Array:
 def _draw_placed(axes: Axes, electrodes: Electrodes, sheet: SheetOutline) -> Array:
     """Draw electrodes one by one; returns where their numbers go: outside the edge, or beside a pin far inside."""
     centres, curve = electrodes.positions_mm(), sheet.curve
-    along, away = curve.nearest(centres)
+    along, distance_mm = curve.nearest(centres)
     if electrodes.kind is ElectrodeKind.PIN:
         axes.scatter(centres[:, 0], centres[:, 1], s=4, c=INK, linewidths=0, zorder=4)
     else:
-        half = electrodes.width_mm / 2
-        strips = [curve.points_at(np.linspace(place - half, place + half, _SIDES)) for place in along]
+        half_width_mm = electrodes.width_mm / 2
+        strips = [
+            curve.points_at(np.linspace(place - half_width_mm, place + half_width_mm, _SIDES)) for place in along
+        ]
         axes.add_collection(LineCollection(strips, colors=INK, linewidths=2.2, zorder=4, capstyle="butt"))
     size = 0.075 * reach(sheet)
     ahead = curve.points_at(along + size / 8) - curve.points_at(along - size / 8)
     outward = np.column_stack([ahead[:, 1], -ahead[:, 0]]) / np.hypot(*ahead.T)[:, None]
-    inner = (away > 4 * size)[:, None]
+    inner = (distance_mm > 4 * size)[:, None]
     return np.where(inner, centres + size / 2, curve.points_at(along) + size * outward)
 
 
@@ -247,21 +249,21 @@ def add_scale(
 ) -> None:
     """Draw a slim colour scale beside (``"right"``) or below (``"bottom"``) the axes, there ``bottom_in`` up."""
     box = axes.get_position()
-    beside = place == "right"
-    if beside:
+    is_vertical = place == "right"
+    if is_vertical:
         slot = figure.add_axes((box.x1 + 0.015, box.y0 + 0.15 * box.height, 0.013, 0.7 * box.height))
     else:
         height_in = figure.get_size_inches()[1]
         slot = figure.add_axes((box.x0 + 0.3 * box.width, bottom_in / height_in, 0.4 * box.width, 0.09 / height_in))
     low, high = float(norm.vmin or 0.0), float(norm.vmax or 0.0)
     ramp = np.linspace(low, high, 128)[None, :]
-    extent = (0, 1, low, high) if beside else (low, high, 0, 1)
-    picture = ramp.T if beside else ramp
+    extent = (0, 1, low, high) if is_vertical else (low, high, 0, 1)
+    picture = ramp.T if is_vertical else ramp
     slot.imshow(picture, norm=norm, cmap=colours, extent=extent, aspect="auto", origin="lower")
     for side in slot.spines.values():
         side.set_visible(False)
     slot.tick_params(length=2, color=FAINT)
-    if beside:
+    if is_vertical:
         slot.set_xticks([])
         slot.yaxis.tick_right()
         slot.yaxis.set_label_position("right")
@@ -280,7 +282,7 @@ def fit_sheet(axes: Axes, sheet: SheetOutline) -> None:
 
 
 def reach(sheet: SheetOutline) -> float:
-    """Half the longer side of the box round a sheet: by it what is drawn beside the sheet is placed."""
+    """Return half the longer side of the box round a sheet; what is drawn next to the sheet is placed by it."""
     low_x, high_x, low_y, high_y = sheet.extent_mm
     return max(high_x - low_x, high_y - low_y) / 2
 

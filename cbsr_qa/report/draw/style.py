@@ -41,10 +41,10 @@ ORDERED: Final = ("#9ecae1", "#56a0d3", "#2171b5", "#08306b")
 #: Text width of an A4 page with the report's margins [in].
 WIDTH_IN: Final = 6.9
 
-#: A line of secondary importance.
+#: Colour of lines of secondary importance.
 DASHED: Final = (0, (4, 2))
 
-#: Kept clear at a figure's left edge [in].
+#: Width that is kept clear at a figure's left edge [in].
 _MARGIN_IN: Final = 0.03
 
 #: Conductance falls (orange-brown), nothing (white), rises (blue).
@@ -197,10 +197,10 @@ def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
     figure.align_ylabels(labelled)
     boxes = [axes.yaxis.get_tightbbox(None) for axes in labelled]
     outermost = min((box.x0 for box in boxes if box is not None), default=0.0)
-    lacking = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
-    if lacking <= 0:
+    missing_share = (_MARGIN_IN * figure.dpi - outermost) / figure.bbox.width
+    if missing_share <= 0:
         return
-    grid.update(left=grid.get_subplot_params(figure).left + lacking)
+    grid.update(left=grid.get_subplot_params(figure).left + missing_share)
     for axes in figure.axes:  # a grid only moves the axes of figures that pyplot knows
         place = axes.get_subplotspec()
         if place is not None and place.get_gridspec() is grid:
@@ -208,7 +208,7 @@ def fit_left(figure: Canvas, grid: GridSpec, labelled: Sequence[Axes]) -> None:
 
 
 def name_rows(axes: Axes, names: Sequence[str], most: int = 34) -> None:
-    """Name the rows of a dot plot, the first on top; of more than fit beside each other every second, third …."""
+    """Name the rows of a dot plot, the first on top. If the names do not fit, write every second, third …."""
     every = -(-len(names) // most)
     rows = range(0, len(names), max(every, 1))
     axes.set_yticks(rows, [names[row] for row in rows])
@@ -226,21 +226,21 @@ def bare(axes: Axes) -> None:
 def spread_labels(places: list[float], gap: float) -> list[float]:
     """Move labels at least ``gap`` apart along one axis, keeping their order and their mean."""
     order = sorted(range(len(places)), key=lambda i: places[i])
-    moved = [places[i] for i in order]
-    for _ in range(50 * len(moved)):
+    spread_places = [places[i] for i in order]
+    for _ in range(50 * len(spread_places)):
         pushed = False
-        for lower in range(len(moved) - 1):
-            lacking = gap - (moved[lower + 1] - moved[lower])
-            if lacking > 1e-9 * max(gap, 1e-300):
-                moved[lower] -= lacking / 2
-                moved[lower + 1] += lacking / 2
+        for lower in range(len(spread_places) - 1):
+            missing_gap = gap - (spread_places[lower + 1] - spread_places[lower])
+            if missing_gap > 1e-9 * max(gap, 1e-300):
+                spread_places[lower] -= missing_gap / 2
+                spread_places[lower + 1] += missing_gap / 2
                 pushed = True
         if not pushed:
             break
-    back = [0.0] * len(places)
+    places_in_order = [0.0] * len(places)
     for rank, index in enumerate(order):
-        back[index] = moved[rank]
-    return back
+        places_in_order[index] = spread_places[rank]
+    return places_in_order
 
 
 def draw_svg(build: Callable[P, Canvas]) -> Callable[P, str]:

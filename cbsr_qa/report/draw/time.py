@@ -41,14 +41,16 @@ def budget_figure(budgets: Sequence[Budget]) -> Canvas:
 
 
 def _draw_bars(axes: Axes, budget: Budget) -> None:
-    parts = sorted(budget.parts, key=lambda part: -part[1])
-    total = sum(seconds for _, seconds in parts)
-    axes.barh(range(len(parts)), [seconds for _, seconds in parts], height=0.68, color=BLUE, linewidth=0)
-    for row, (_, seconds) in enumerate(parts):
+    sorted_parts = sorted(budget.parts, key=lambda part: -part[1])
+    total = sum(seconds for _, seconds in sorted_parts)
+    axes.barh(
+        range(len(sorted_parts)), [seconds for _, seconds in sorted_parts], height=0.68, color=BLUE, linewidth=0
+    )
+    for row, (_, seconds) in enumerate(sorted_parts):
         share = f"  ({100 * seconds / total:.0f} %)" if total else ""
         annotate(axes, f"{duration(seconds)}{share}", (seconds, row), (3, 0), va="center")
-    axes.set_yticks(range(len(parts)), [name for name, _ in parts])
-    axes.set_ylim(len(parts) - 0.5, -0.5)
+    axes.set_yticks(range(len(sorted_parts)), [name for name, _ in sorted_parts])
+    axes.set_ylim(len(sorted_parts) - 0.5, -0.5)
     axes.set_xticks([])
     axes.tick_params(axis="y", length=0)
     for side in ("bottom", "left"):
@@ -110,12 +112,12 @@ def draw_timeline(axes: Axes, traces: Sequence[Trace], spans: Sequence[Span], *,
 def shade(axes: Axes, span: Span, *, named: bool) -> None:
     """Shade a stretch of time, tick its peak, and name it above the axes."""
     axes.axvspan(span.start_s, max(span.end_s, span.start_s), color="#f0e3cf", linewidth=0, zorder=0)
-    across = blended_transform_factory(axes.transData, axes.transAxes)
+    data_and_axes = blended_transform_factory(axes.transData, axes.transAxes)
     if span.peak_s is not None:
-        axes.plot([span.peak_s] * 2, [0.94, 1.0], transform=across, color=INK, linewidth=1.0, clip_on=False)
+        axes.plot([span.peak_s] * 2, [0.94, 1.0], transform=data_and_axes, color=INK, linewidth=1.0, clip_on=False)
     if named:
         middle = (span.start_s + span.end_s) / 2
-        axes.text(middle, 1.03, span.label, transform=across, ha="center", va="bottom", fontsize=7)
+        axes.text(middle, 1.03, span.label, transform=data_and_axes, ha="center", va="bottom", fontsize=7)
 
 
 def thin_trace(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Array, Array]:
@@ -124,8 +126,8 @@ def thin_trace(time_s: Array, values: Array, points: int = _POINTS) -> tuple[Arr
         return time_s, values
     starts = np.linspace(0, len(values), points // 2 + 1).astype(np.int64)
     pairs = pairwise(starts)
-    kept = [a + k for a, b in pairs for k in sorted({int(values[a:b].argmin()), int(values[a:b].argmax())})]
-    return time_s[kept], values[kept]
+    kept_indices = [a + k for a, b in pairs for k in sorted({int(values[a:b].argmin()), int(values[a:b].argmax())})]
+    return time_s[kept_indices], values[kept_indices]
 
 
 def _group_by_unit(traces: Sequence[Trace]) -> list[tuple[str, list[Trace]]]:
@@ -145,7 +147,10 @@ def _draw_traces(axes: Axes, traces: list[Trace], unit: str) -> None:
         if len(traces) > 1:
             note(axes, 1.01, 0.95 - 0.13 * index, trace.name, colour, va="top")
     name = traces[0].name if len(traces) == 1 else ""
-    shown = unit_shown(unit)
-    axes.set_ylabel(f"{name}\n[{shown}]" if name and shown else name or (f"[{shown}]" if shown else ""), color=INK)
+    shown_unit = unit_shown(unit)
+    axes.set_ylabel(
+        f"{name}\n[{shown_unit}]" if name and shown_unit else name or (f"[{shown_unit}]" if shown_unit else ""),
+        color=INK,
+    )
     axes.yaxis.label.set_fontsize(7.5)
     axes.tick_params(axis="y", color=QUIET)
