@@ -62,13 +62,15 @@ class Kept:
             text = read_foreign(path, LARGEST_FILE)
         except OSError as error:
             raise StoreError(f"{path} cannot be read: {error.strerror or error}", remedy=_BEGIN_AGAIN) from error
-        *lines, last = text.split(b"\n")
+        *lines, unfinished_line = text.split(b"\n")
         for number, line in enumerate(lines, 1):
             self._take(path, number, line)
-        if last[: len(_START)] != _START[: len(last)]:
-            self._take(path, len(lines) + 1, last)  # complete, so it is another file's content and is refused
-        elif last:
-            self._cut_at = len(text) - len(last)
+        if unfinished_line[: len(_START)] != _START[: len(unfinished_line)]:
+            self._take(
+                path, len(lines) + 1, unfinished_line
+            )  # complete, so it is another file's content and is refused
+        elif unfinished_line:
+            self._cut_at = len(text) - len(unfinished_line)
 
     def _take(self, path: Path, number: int, line: bytes) -> None:
         try:
@@ -104,10 +106,10 @@ def compute_pieces(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: i
     Results do not depend on the number of processes. If a piece raises, no further one is started, running ones are
     finished and stored, and its error is raised. Ctrl-C stops at once; finished pieces are stored.
     """
-    left = [piece for piece in work if piece.key not in kept.found]
-    done = len(work) - len(left)
+    remaining = [piece for piece in work if piece.key not in kept.found]
+    done = len(work) - len(remaining)
     tell(done, len(work), "begun" if done == 0 else "resumed")
-    with closing(run_jobs(left, _compute_piece, processes)) as pieces:
+    with closing(run_jobs(remaining, _compute_piece, processes)) as pieces:
         for piece, documents in pieces:
             kept.keep(piece.key, documents)
             done += 1

@@ -154,11 +154,15 @@ class Fitted:
 
 def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
     """Fit the model to the runs (N,) that have a value; NaN where missing."""
-    known = ~np.isnan(values)
-    if not known.any():
+    has_value = ~np.isnan(values)
+    if not has_value.any():
         return Fitted(None, "nothing was measured", of_stations)
     try:
-        return Fitted(fit(design if known.all() else design.select_runs(known), values[known], what), "", of_stations)
+        return Fitted(
+            fit(design if has_value.all() else design.select_runs(has_value), values[has_value], what),
+            "",
+            of_stations,
+        )
     except NumericsError as error:
         return Fitted(None, _one_line(error), of_stations)
 
@@ -181,18 +185,18 @@ def difference(
     terms = design.terms
     values = metric.mean[known[names[0]]], metric.mean[known[names[1]]]
     naive = _naive(values, names, terms)
-    bare = Difference(*metric.identity, names[1], group=names[0], model=REFUSED, naive=naive)
+    refused = Difference(*metric.identity, names[1], group=names[0], model=REFUSED, naive=naive)
     try:
         contrast = model.difference(*names)
     except NumericsError as error:
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
-        return replace(bare, warnings=(why or _one_line(error),))
+        return replace(refused, warnings=(why or _one_line(error),))
     assert model.fit is not None
-    estimated = _fill_contrast(bare, contrast, terms)
+    estimated = _fill_contrast(refused, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
     stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
     detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
-    likeness = None if margin is None else contrast.equivalence(margin, level=terms.level)
+    equivalence_test = None if margin is None else contrast.equivalence(margin, level=terms.level)
     kind = str(model.fit.model)
     return replace(
         estimated,
@@ -201,8 +205,8 @@ def difference(
         effect_size=contrast.value / deviation,
         effect_size_interval=contrast.interval(terms.confidence).scale(1 / deviation),
         margin=margin,
-        equivalence_interval=None if likeness is None else likeness.interval,
-        equivalence_p_unadjusted=None if likeness is None else likeness.p_value,
+        equivalence_interval=None if equivalence_test is None else equivalence_test.interval,
+        equivalence_p_unadjusted=None if equivalence_test is None else equivalence_test.p_value,
         sensors_to_show_alike=_count_sensors(sensors_to_show_alike, margin, deviation, terms),
         detect=detect,
         sensors_needed=_count_sensors(sensors_needed, detect, deviation, terms),
@@ -287,10 +291,10 @@ def _places_of(
             contrast = model.difference(*pair)
         except NumericsError:
             continue
-        inside = contrast.interval(terms.confidence)
+        interval = contrast.interval(terms.confidence)
         x_mm, y_mm = table.places_mm.get(location, (None, None))
         places.append(
-            PlaceDifference(location, x_mm, y_mm, contrast.value, inside.low, inside.high, contrast.p_value())
+            PlaceDifference(location, x_mm, y_mm, contrast.value, interval.low, interval.high, contrast.p_value())
         )
     adjusted = holm([place.p for place in places]).tolist()
     return tuple(replace(place, p=p) for place, p in zip(places, adjusted, strict=True))
@@ -299,10 +303,10 @@ def _places_of(
 def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Iterator[StationDifference]:
     """Compare stations with the one with most runs, adjusted for differences of groups."""
     for name in design.stations[1:]:
-        bare = StationDifference(*metric.identity, design.stations[0], station=name)
+        unestimated = StationDifference(*metric.identity, design.stations[0], station=name)
         try:
             if model.fit is None:
                 raise NumericsError(model.why)
-            yield _fill_contrast(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
+            yield _fill_contrast(unestimated, model.fit.station_difference(name, design.stations[0]), design.terms)
         except NumericsError as error:
-            yield replace(bare, warnings=(_one_line(error),))
+            yield replace(unestimated, warnings=(_one_line(error),))

@@ -90,50 +90,60 @@ def _notes_section(notes: Sequence[str]) -> Section:
 
 def _headline(comparison: Comparison) -> str:
     """Answer in one line: the largest differences, a deviating station, and groups without a shown difference."""
-    everyone = [group.name for group in comparison.groups]
+    group_names = [group.name for group in comparison.groups]
     if not comparison.compared:
-        return _NO_COMPARISON.format(groups=_join_groups(everyone))
-    differ = sorted(
+        return _NO_COMPARISON.format(groups=_join_groups(group_names))
+    significant_pairs = sorted(
         ((metric, difference) for metric, difference in comparison.pairs if comparison.significant(difference)),
         key=lambda pair: -abs(pair[1].effect_size or 0.0),
     )
-    shown: list[tuple[MetricComparison, Estimated, str]] = [
+    readings: list[tuple[MetricComparison, Estimated, str]] = [
         (metric, difference, _who(str(difference.group), comparison))
-        for metric, difference in differ[:_MOST_IN_HEADLINE]
+        for metric, difference in significant_pairs[:_MOST_IN_HEADLINE]
     ]
-    titles = {metric.values.title for metric, *_ in shown}
-    drifted = sorted(
-        ((m, station) for m in comparison.of_metrics for station in m.stations if comparison.significant(station)),
+    titles = {metric.values.title for metric, *_ in readings}
+    deviating_stations = sorted(
+        (
+            (station_metric, station)
+            for station_metric in comparison.of_metrics
+            for station in station_metric.stations
+            if comparison.significant(station)
+        ),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
-    shown += [(metric, difference, prefix_kind("station", difference.station)) for metric, difference in drifted[:1]]
+    readings += [
+        (metric, difference, prefix_kind("station", difference.station))
+        for metric, difference in deviating_stations[:1]
+    ]
     clauses = [
-        *_readings(shown, comparison),
-        *_say_alike({one.group for _, one in differ}, comparison),
+        *_readings(readings, comparison),
+        *_say_alike({difference_found.group for _, difference_found in significant_pairs}, comparison),
         *_say_missing(comparison),
     ]
-    more = len(differ) + len(drifted) - len(shown)
-    text = "; ".join([*clauses, *([_MORE.format(count=plural(more, "more difference"))] if more else [])])
-    return text if text.startswith(tuple(everyone)) else capital(text)
+    unlisted_count = len(significant_pairs) + len(deviating_stations) - len(readings)
+    text = "; ".join(
+        [*clauses, *([_MORE.format(count=plural(unlisted_count, "more difference"))] if unlisted_count else [])]
+    )
+    return text if text.startswith(tuple(group_names)) else capital(text)
 
 
 def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:
     """State differences from the reference; the metric is named when it changes."""
-    before = ""
-    for metric, difference, who in shown:
+    previous_title = ""
+    for metric, difference, group_words in shown:
         size, low, high = (difference.difference or 0.0, difference.low or 0.0, difference.high or 0.0)
         if size < 0:
             size, low, high = -size, -high, -low
         yield _READS.format(
-            who=who,
+            who=group_words,
             size=amount(size, metric.values.unit, 2),
             low=number(low, 2),
             high=number(high, 2),
             side=comparison.side(metric, difference),
             reference=difference.reference,
-            metric="" if metric.values.title == before else f" in {metric.values.title}",
+            metric="" if metric.values.title == previous_title else f" in {metric.values.title}",
         )
-        before = metric.values.title
+        previous_title = metric.values.title
 
 
 def _say_alike(differ: Collection[str | None], comparison: Comparison) -> Iterator[str]:

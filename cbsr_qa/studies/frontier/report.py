@@ -139,14 +139,14 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
     """Knobs left out of a series' table because they are constant in it, though other series vary them."""
-    shown = _varying_knobs(members)
-    others = {
+    varying = _varying_knobs(members)
+    constant_knobs = {
         name: value
         for name, value in members[0].knobs.items()
-        if name not in shown
+        if name not in varying
         and any(p.clock is members[0].clock and p.knobs.get(name, value) != value for p in points)
     }
-    return _knobs(others)
+    return _knobs(constant_knobs)
 
 
 def notes_of(members: Sequence[Point]) -> list[str]:

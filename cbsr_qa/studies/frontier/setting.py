@@ -112,7 +112,7 @@ class Setting:
 
     def _phases(self, base: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """Three phases of the base with this setting's places, loads and times."""
-        own: dict[str, dict[str, Any]] = {
+        keys_by_phase: dict[str, dict[str, Any]] = {
             START: {
                 "rest_s": self.first_rest_s,
                 "frames": 20,
@@ -135,8 +135,8 @@ class Setting:
             },
         }
         if not self.checks:
-            del own[CHECK]
-        return [{**phase, **own[phase["name"]]} for phase in base if phase["name"] in own]
+            del keys_by_phase[CHECK]
+        return [{**phase, **keys_by_phase[phase["name"]]} for phase in base if phase["name"] in keys_by_phase]
 
 
 def phase_of_test_loads(count: int) -> dict[str, Any]:

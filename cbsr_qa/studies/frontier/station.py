@@ -112,14 +112,14 @@ def station_work(*, quick: bool) -> Iterator[Work]:
             yield Work(f"{sweep}/paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper)
         parts = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
         yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", parts)
-    alone: dict[Setting, list[str]] = {}
+    series_by_setting: dict[Setting, list[str]] = {}
     for series, setting in ways_by_simulation(quick=quick):
-        alone.setdefault(setting, []).append(series)
-    for setting, names in alone.items():
-        what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
+        series_by_setting.setdefault(setting, []).append(series)
+    for setting, names in series_by_setting.items():
+        knobs = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
         for seed in seeds:
             run = partial(try_ways, setting, seed, [(name, setting) for name in names])
-            key = f"{sweep}/alone/{'+'.join(names)}/{what}/{seed}"
+            key = f"{sweep}/alone/{'+'.join(names)}/{knobs}/{seed}"
             yield Work(key, f"{names[0]}: {setting.places} places, sensor {seed}", run)
 
 

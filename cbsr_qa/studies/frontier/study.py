@@ -61,17 +61,17 @@ def frontier(
         return [restore(kind, document) for documents in pieces.values() for document in documents]
 
     tried: list[tuple[Setting, Point]] = []
-    measured: list[Point] = []
+    computer_points: list[Point] = []
     if TimeBasis.STATION in clocks:
         trials = swept(Tried, station_work(quick=quick), "station.jsonl", min(2, cpu_count() or 1))
         tried = station_points(trials, station_seconds)
     if TimeBasis.COMPUTER in clocks:
-        measured = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
+        computer_points = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
     recommended = _recommend(tried, target)
     if files.recipe is not None:
         write_recipe(recommended, files.recipe)
         recommended = replace(recommended, recipe=str(files.recipe))
-    return Frontier(quick, (*(point for _, point in tried), *measured), recommended)
+    return Frontier(quick, (*(point for _, point in tried), *computer_points), recommended)
 
 
 def _recommend(tried: Sequence[tuple[Setting, Point]], target: Target) -> Recommendation:

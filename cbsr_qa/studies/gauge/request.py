@@ -206,21 +206,21 @@ class StudyFile(FileModel[GaugeRequest]):
         yield from self._reference_problems()
 
     def _reference_problems(self) -> Iterator[Problem]:
-        serials, seen = self.study.serials, set()
+        serials, seen_pairs = self.study.serials, set()
         names = [metric.name for metric in self.metrics or ()]
         for index, reference in enumerate(self.reference or ()):
-            where = ("reference", index)
+            key = ("reference", index)
             if serials is not None and reference.serial not in serials:
-                what = f"is {reference.serial!r}, which is not in study.serials: {', '.join(serials)}"
-                yield Problem((*where, "serial"), what)
+                problem = f"is {reference.serial!r}, which is not in study.serials: {', '.join(serials)}"
+                yield Problem((*key, "serial"), problem)
             if names and reference.metric not in names:
-                what = f"is {reference.metric!r}, which is not among the metrics: {', '.join(names)}"
-                yield Problem((*where, "metric"), what)
-            if (reference.serial, reference.metric) in seen:
+                problem = f"is {reference.metric!r}, which is not among the metrics: {', '.join(names)}"
+                yield Problem((*key, "metric"), problem)
+            if (reference.serial, reference.metric) in seen_pairs:
                 yield Problem(
-                    (*where, "serial"), f"is {reference.serial!r}, which has a value of {reference.metric} already"
+                    (*key, "serial"), f"is {reference.serial!r}, which has a value of {reference.metric} already"
                 )
-            seen.add((reference.serial, reference.metric))
+            seen_pairs.add((reference.serial, reference.metric))
 
     def to_domain(self) -> GaugeRequest:
         """Return the request, with per cent as a fraction."""

@@ -152,18 +152,18 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
             outcome = Ending.REFUSED
     except Exception as error:  # noqa: BLE001  # any error: a broken case is shown, and does not end the table
         reason = f"{type(error).__name__}: {error}"
-    given = answer or Answer(math.nan, math.nan)
+    shown_answer = answer or Answer(math.nan, math.nan)
     return fill_from_object(
         CaseResult,
         case,
         outcome=outcome,
-        error=_finite(given.error),
-        bound=_finite(given.bound),
-        unit=given.unit if answer else None,
-        condition=_finite(given.condition),
+        error=_finite(shown_answer.error),
+        bound=_finite(shown_answer.bound),
+        unit=shown_answer.unit if answer else None,
+        condition=_finite(shown_answer.condition),
         reason=reason or None,
         remedy=remedy or None,
-        note=given.note or None,
+        note=shown_answer.note or None,
         seconds=round(perf_counter() - started_s, 3),
     )
 
@@ -178,13 +178,13 @@ def _within(seconds: float) -> Iterator[None]:
     def stop(_signal: int, _frame: FrameType | None) -> None:
         raise TimeoutError(f"no end within {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
+    previous_handler = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous_handler)
 
 
 def _why_broken(case: HardCase, answer: Answer | None) -> str:

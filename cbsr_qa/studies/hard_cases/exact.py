@@ -70,15 +70,17 @@ def circle_overlap(corners: Array, centre: Sequence[float], radius: float) -> An
 
 def _under_side(start: Any, end: Any, radius: Any) -> Any:
     """Signed area between the origin and a directed side, as far as inside a circle about the origin."""
-    along = end - start
-    length2 = abs(along) ** 2
-    middle = -mp.re(start * mp.conj(along)) / length2
-    under = radius**2 - mp.im(mp.conj(start) * along) ** 2 / length2
-    half = mp.sqrt(under / length2) if under > 0 else mp.mpf(0)
-    first, last = (min(max(share, mp.mpf(0)), mp.mpf(1)) for share in (middle - half, middle + half))
-    enters, leaves = start + first * along, start + last * along
-    turned = _angle(start, enters) if first > 0 else mp.mpf(0)
-    turned += _angle(leaves, end) if last < 1 else mp.mpf(0)
+    side = end - start
+    length2 = abs(side) ** 2
+    middle = -mp.re(start * mp.conj(side)) / length2
+    half_chord2 = radius**2 - mp.im(mp.conj(start) * side) ** 2 / length2
+    half_share = mp.sqrt(half_chord2 / length2) if half_chord2 > 0 else mp.mpf(0)
+    first_share, last_share = (
+        min(max(share, mp.mpf(0)), mp.mpf(1)) for share in (middle - half_share, middle + half_share)
+    )
+    enters, leaves = start + first_share * side, start + last_share * side
+    turned = _angle(start, enters) if first_share > 0 else mp.mpf(0)
+    turned += _angle(leaves, end) if last_share < 1 else mp.mpf(0)
     return (radius**2 * turned + mp.im(mp.conj(enters) * leaves)) / 2
 
 
@@ -111,12 +113,12 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
 def exact_gram(rows: Long) -> list[list[Any]]:
     """A Aᵀ of rows (m, e), entries in fifty digits: exact except for parts 105 bits below a row's largest."""
     exponents = np.frexp(np.abs(rows).max(axis=1))[1]
-    slices, rest = [], np.ldexp(rows, -exponents[:, None])
+    slices, remainder = [], np.ldexp(rows, -exponents[:, None])
     for number in range(1, _SLICES + 1):
-        part = np.round(np.ldexp(rest, number * _BITS))
-        rest = rest - np.ldexp(part, -number * _BITS)
+        part = np.round(np.ldexp(remainder, number * _BITS))
+        remainder = remainder - np.ldexp(part, -number * _BITS)
         slices.append(part.astype(np.float64))
-    whole = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
+    scaled_products = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
     for total in range(_SLICES):  # slices i and j weigh 2^−21(i + j + 2)
         summed = np.zeros((len(rows), len(rows)), dtype=np.int64)
         for first in range(0, rows.shape[1], _SUMMED):
@@ -124,9 +126,11 @@ def exact_gram(rows: Long) -> list[list[Any]]:
             for i in range(total + 1):
                 summed += (slices[i][:, here] @ slices[total - i][:, here].T).astype(np.int64)
         shift = (_SLICES - 1 - total) * _BITS
-        whole = [above + (here << shift) for above, here in zip(whole, summed.ravel().tolist(), strict=True)]
+        scaled_products = [
+            above + (here << shift) for above, here in zip(scaled_products, summed.ravel().tolist(), strict=True)
+        ]
     powers = (exponents[:, None] + exponents - (_SLICES + 1) * _BITS).ravel().tolist()
-    flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(whole, powers, strict=True)]
+    flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(scaled_products, powers, strict=True)]
     return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
 
 
@@ -178,16 +182,20 @@ def exact_map(
     """
     with mp.workdps(DIGITS):
         kinds = {(process.smooth, process.length_mm) for process in learned.members}
-        alike = {kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds}
+        correlations_by_kind = {
+            kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds
+        }
         scores, means, variances = [], [], []
         for process in learned.members:
             deviation, scatter = mp.mpf(process.deviation), mp.mpf(process.scatter)
             noise = _exact(variance) + scatter**2 + _LEAST_VARIANCE
-            score, mean, own = _process(alike[process.smooth, process.length_mm], deviation, noise, _exact(values))
-            usual = mp.log1p((deviation / _USUAL_DEVIATION) ** 2) + scatter / _USUAL_SCATTER
-            scores.append(score + mp.log(deviation) - usual)
+            score, mean, variance_of_process = _process(
+                correlations_by_kind[process.smooth, process.length_mm], deviation, noise, _exact(values)
+            )
+            prior_penalty = mp.log1p((deviation / _USUAL_DEVIATION) ** 2) + scatter / _USUAL_SCATTER
+            scores.append(score + mp.log(deviation) - prior_penalty)
             means.append(mean)
-            variances.append(own)
+            variances.append(variance_of_process)
         weights = np.array([mp.exp(score - max(scores)) for score in scores], dtype=object)
         weights /= weights.sum()
         mean = weights @ np.array(means)
@@ -199,14 +207,14 @@ def _process(alike: _Exact, deviation: Any, noise: _Exact, y: _Exact) -> tuple[A
     count, square = len(y), deviation**2
     root = np.array(mp.cholesky(mp.matrix(square * alike[:, :count] + np.diag(noise))).tolist(), dtype=object)
     solved = _forward(root, np.column_stack([np.full(count, mp.one), y, square * alike[:, count:]]))
-    ones, seen, towards = solved[:, 0], solved[:, 1], solved[:, 2:]
-    information = ones @ ones
-    level = ones @ seen / information
-    left = seen - level * ones
+    whitened_ones, whitened_values, whitened_covariances = solved[:, 0], solved[:, 1], solved[:, 2:]
+    information = whitened_ones @ whitened_ones
+    level = whitened_ones @ whitened_values / information
+    residuals = whitened_values - level * whitened_ones
     logarithms = mp.fsum(map(mp.log, root.diagonal())) + mp.log(information) / 2
-    free = 1 - ones @ towards
-    variances = square - (towards**2).sum(axis=0) + free**2 / information
-    return -(left @ left) / 2 - logarithms, level + left @ towards, variances
+    free = 1 - whitened_ones @ whitened_covariances
+    variances = square - (whitened_covariances**2).sum(axis=0) + free**2 / information
+    return -(residuals @ residuals) / 2 - logarithms, level + residuals @ whitened_covariances, variances
 
 
 def _correlations(places_mm: Array, others_mm: Array, smooth: bool, length_mm: float) -> _Exact:
@@ -235,13 +243,13 @@ def _exact(values: Array) -> _Exact:
 def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
     """Value, and slope by log τ, of e^(−t/τ) after a ramp and averaged over a frame."""
     with mp.workdps(DIGITS):
-        ramp, frame, at = (mp.mpf(float(seconds)) for seconds in (ramp_s, frame_s, time_s))
+        ramp, frame, exact_time = (mp.mpf(float(seconds)) for seconds in (ramp_s, frame_s, time_s))
 
         def value(log_tau: Any) -> Any:
             tau = mp.exp(log_tau)
             over_ramp = tau / ramp * (1 - mp.exp(-ramp / tau))
             over_frame = tau / frame * (mp.exp(frame / tau / 2) - mp.exp(-frame / tau / 2))
-            return mp.exp(-at / tau) * over_ramp * over_frame
+            return mp.exp(-exact_time / tau) * over_ramp * over_frame
 
         log_tau = mp.log(mp.mpf(tau_s))
         return value(log_tau), mp.diff(value, log_tau)

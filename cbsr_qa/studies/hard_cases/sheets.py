@@ -49,13 +49,13 @@ def prepare_method(name: str, problem: ImagingProblem, options: Mapping[str, Any
 def usual_problem(kind: str = "whole") -> ImagingProblem:
     """The usual sensor on a coarse image; with three electrodes masked, or noise over twelve decades."""
     sensor = usual_sensor()
-    whole = imaging_problem(sensor, image_size_mm=IMAGE_MM)
+    full_problem = imaging_problem(sensor, image_size_mm=IMAGE_MM)
     if kind == "masked":
         return imaging_problem(sensor, used=mask_electrodes(sensor, (2, 7, 12)), image_size_mm=IMAGE_MM)
     if kind == "noisy":
-        decades = np.random.default_rng(20261122).permutation(np.linspace(-6, 6, len(whole.reference)))
+        decades = np.random.default_rng(20261122).permutation(np.linspace(-6, 6, len(full_problem.reference)))
         return imaging_problem(sensor, noise_variance=0.9 * 10**decades, image_size_mm=IMAGE_MM)
-    return whole
+    return full_problem
 
 
 def mask_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -84,18 +84,22 @@ def small_mesh(radii_mm: Array | None = None) -> Mesh:
 def ring_mesh(radii_mm: Array, spokes: int, electrodes: int, edges_each: int) -> Mesh:
     """A disc of rings of triangles, as many on each ring, with electrodes of some edges each on its rim."""
     angle = 2 * np.pi * np.arange(spokes) / spokes
-    around = np.stack([np.outer(radii_mm, np.cos(angle)), np.outer(radii_mm, np.sin(angle))], axis=-1).reshape(-1, 2)
-    here = np.arange(spokes)
-    there = (here + 1) % spokes
-    elements = [np.column_stack([np.zeros(spokes, dtype=np.int64), 1 + here, 1 + there])]
+    ring_nodes_mm = np.stack([np.outer(radii_mm, np.cos(angle)), np.outer(radii_mm, np.sin(angle))], axis=-1).reshape(
+        -1, 2
+    )
+    spoke = np.arange(spokes)
+    next_spoke = (spoke + 1) % spokes
+    elements = [np.column_stack([np.zeros(spokes, dtype=np.int64), 1 + spoke, 1 + next_spoke])]
     for ring in range(1, len(radii_mm)):
         inner, outer = 1 + (ring - 1) * spokes, 1 + ring * spokes
-        elements.append(np.column_stack([inner + here, outer + here, outer + there]))
-        elements.append(np.column_stack([inner + here, outer + there, inner + there]))
+        elements.append(np.column_stack([inner + spoke, outer + spoke, outer + next_spoke]))
+        elements.append(np.column_stack([inner + spoke, outer + next_spoke, inner + next_spoke]))
     rim = 1 + (len(radii_mm) - 1) * spokes
-    first = spokes // electrodes * np.arange(electrodes)
-    edges = tuple(rim + np.column_stack([k + np.arange(edges_each), k + np.arange(edges_each) + 1]) for k in first)
-    return Mesh(np.vstack([[0.0, 0.0], around]), np.vstack(elements).astype(np.int64), edges)
+    first_spokes = spokes // electrodes * np.arange(electrodes)
+    edges = tuple(
+        rim + np.column_stack([k + np.arange(edges_each), k + np.arange(edges_each) + 1]) for k in first_spokes
+    )
+    return Mesh(np.vstack([[0.0, 0.0], ring_nodes_mm]), np.vstack(elements).astype(np.int64), edges)
 
 
 @lru_cache(maxsize=1)
@@ -136,11 +140,11 @@ def reading_condition(model: ForwardModel, before: Array | None = None) -> float
     ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): the worst effect of one rounding of the data. If
     conductances are given as those ``before`` and a change, both are data.
     """
-    used = model.pattern.usable()
-    given = model.conductance if before is None else before + np.abs(model.conductance - before)
-    felt = np.abs(model.jacobian()[used]) @ given
-    felt += np.abs(model.contact_jacobian()[used]) @ model.contact_impedance
-    return float(np.linalg.norm(felt) / np.linalg.norm(model.voltages()[used]))
+    is_usable = model.pattern.usable()
+    conductance_scale = model.conductance if before is None else before + np.abs(model.conductance - before)
+    absolute_terms = np.abs(model.jacobian()[is_usable]) @ conductance_scale
+    absolute_terms += np.abs(model.contact_jacobian()[is_usable]) @ model.contact_impedance
+    return float(np.linalg.norm(absolute_terms) / np.linalg.norm(model.voltages()[is_usable]))
 
 
 def exact_readings(

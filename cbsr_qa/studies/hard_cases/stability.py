@@ -25,10 +25,10 @@ def choose_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[
     for area in areas:
         if area not in AREAS:
             raise ConfigError(f"there is no area {area!r}", remedy=f"there are: {', '.join(AREAS)}")
-    known = [case.name for case in CASES]
+    known_names = [case.name for case in CASES]
     for name in names:
-        if name not in known:
-            raise ConfigError(f"there is no case {name!r}", remedy=_nearest(name, known))
+        if name not in known_names:
+            raise ConfigError(f"there is no case {name!r}", remedy=_nearest(name, known_names))
     return tuple(case for case in CASES if case.area in areas or case.name in names or not (areas or names))
 
 

@@ -41,12 +41,12 @@ class LotChoice:
 
     def words(self) -> str:
         """Describe the choice for a reader."""
-        wanted = self.runs
-        parts = [f"batch {wanted.batch}"] if wanted.batch is not None else []
-        parts += [f"recipe {wanted.recipe}"] if wanted.recipe is not None else []
-        parts += [f"since {wanted.since}"] if wanted.since else []
-        parts += [f"until {wanted.until}"] if wanted.until else []
-        return ", ".join([*parts, *(["named sensors"] if wanted.serials else [])])
+        selection = self.runs
+        phrases = [f"batch {selection.batch}"] if selection.batch is not None else []
+        phrases += [f"recipe {selection.recipe}"] if selection.recipe is not None else []
+        phrases += [f"since {selection.since}"] if selection.since else []
+        phrases += [f"until {selection.until}"] if selection.until else []
+        return ", ".join([*phrases, *(["named sensors"] if selection.serials else [])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -134,35 +134,37 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
             remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
         )
     check_names(store, RunSelection(serials=(*choice.runs.serials, *choice.without)))
-    chosen = store.fleet.read_lines(choice.runs)
-    if not chosen:
+    selected_lines = store.fleet.read_lines(choice.runs)
+    if not selected_lines:
         check_names(store, choice.runs)
         raise RefusedError(
             f"no stored run fits the golden lot ({choice.words()})",
             remedy="no stored run matches all of these choices together",
         )
-    kept = [run for run in chosen if run.serial not in choice.without]
-    for line in kept:
+    chosen_lines = [run for run in selected_lines if run.serial not in choice.without]
+    for line in chosen_lines:
         if line.altered:
             raise StoreError(line.altered, remedy="restore the database from a copy, or leave out the sensor")
-    not_good = _refuse_bad(kept, choice)
-    runs = [LotRun(run, store.analyses.load(run.run)[0]) for run in kept if _has_result(run)]
+    not_good = _refuse_bad(chosen_lines, choice)
+    runs = [LotRun(run, store.analyses.load(run.run)[0]) for run in chosen_lines if _has_result(run)]
     if not runs:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
-    mixed = _describe_mixture(store, runs, choice)
-    analysed: dict[str, tuple[LotRun, ...]] = {}
+    mixture_note = _describe_mixture(store, runs, choice)
+    runs_by_serial: dict[str, tuple[LotRun, ...]] = {}
     for run in sorted(runs, key=lambda lot_run: lot_run.line.serial):
-        analysed[run.line.serial] = (*analysed.get(run.line.serial, ()), run)
+        runs_by_serial[run.line.serial] = (*runs_by_serial.get(run.line.serial, ()), run)
     return Lot(
         chosen=choice.words(),
-        sensors={serial: tuple(run.line.run for run in of) for serial, of in analysed.items()},
+        sensors={
+            serial: tuple(run.line.run for run in sensor_runs) for serial, sensor_runs in runs_by_serial.items()
+        },
         stations=tuple(sorted({run.line.station for run in runs})),
-        software=tuple(next(iter(analysed.values()))[0].analysis.software),
-        left_out=tuple(sorted({run.serial for run in chosen} & set(choice.without))),
+        software=tuple(next(iter(runs_by_serial.values()))[0].analysis.software),
+        left_out=tuple(sorted({run.serial for run in selected_lines} & set(choice.without))),
         not_good=not_good,
-        mixed=mixed,
+        mixed=mixture_note,
         simulated=_describe_simulated(runs),
-        analysed=analysed,
+        analysed=runs_by_serial,
     )
 
 

@@ -262,33 +262,37 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     """Find the uncertainty of one run: from repeated runs, else as stated by the measurements."""
     picks = [min if side == "lower" else max for side in bounds]
     repeats = sum(len(runs) - 1 for runs in group.sensors.values())
-    moved = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
-    over = f", at stations {', '.join(lot.stations)}" if moved else ""
-    source = f"repeatability of {repeats} repeated runs{over}"
+    at_several_stations = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
+    over_stations = f", at stations {', '.join(lot.stations)}" if at_several_stations else ""
+    source = f"repeatability of {repeats} repeated runs{over_stations}"
     repeated = [repeatability(_worst(group, pick), source) for pick in picks]
     widest = max(filter(None, repeated), key=lambda u: u.standard, default=None)
     if widest is not None:
         return widest, source
     runs = [run for runs in group.sensors.values() for run in runs]
-    stated = [pick(run, key=lambda m: m.value or 0.0).uncertainty for pick in picks for run in runs]
-    known = [u for u in stated if u]
-    if len(known) == len(stated):
+    stated_uncertainties = [pick(run, key=lambda m: m.value or 0.0).uncertainty for pick in picks for run in runs]
+    known_uncertainties = [u for u in stated_uncertainties if u]
+    if len(known_uncertainties) == len(stated_uncertainties):
         source = "stated by the measurements"
-        return Uncertainty(sqrt(sum(u * u for u in known) / len(known)), None, source), source
-    few = _NEVER_TWICE if not repeats else _NO_SPREAD
+        return Uncertainty(
+            sqrt(sum(u * u for u in known_uncertainties) / len(known_uncertainties)), None, source
+        ), source
+    no_repeats = _NEVER_TWICE if not repeats else _NO_SPREAD
     if 0 < repeats < FEWEST_REPEATS:
-        few = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
-    return None, _UNSTATED.format(few=few, silent=len(stated) - len(known), values=len(stated))
+        no_repeats = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
+    return None, _UNSTATED.format(
+        few=no_repeats, silent=len(stated_uncertainties) - len(known_uncertainties), values=len(stated_uncertainties)
+    )
 
 
 def _risks(bounds: Iterable[Bound], width: float, uncertainty: Uncertainty) -> ProposedRisks | None:
     sums = [Risks(0.0, 0.0), Risks(0.0, 0.0)]
     for bound in bounds:
         for place, guard in enumerate((0.0, width)):
-            own = risks(bound, guard, uncertainty)
-            if own is None:
+            bound_risks = risks(bound, guard, uncertainty)
+            if bound_risks is None:
                 return None
-            sums[place] += own
+            sums[place] += bound_risks
     return ProposedRisks(*sums)
 
 

@@ -123,12 +123,12 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
         members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
         refused = [member for member in members if isinstance(member, NoLimit)]
         if len(refused) == len(members):
-            whys = "\n".join(
+            reasons = "\n".join(
                 f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refused[:10]
             )
-            rest = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
+            more_reasons = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
             raise RefusedError(
-                f"no limit can be proposed from this lot:\n{whys}{rest}",
+                f"no limit can be proposed from this lot:\n{reasons}{more_reasons}",
                 remedy="test more sensors, leave out what does not belong by --without, or ask for less --coverage",
             )
 
@@ -209,8 +209,8 @@ def write_new(path: Path, text: str) -> None:
 def refuse_existing(path: Path) -> None:
     """Refuse to overwrite a file: limits used to judge runs must not change."""
     with writing(path):
-        there = path.exists()
+        exists = path.exists()
     if path.suffix != ".toml":
         raise RefusedError(f"{path} is not named as a TOML file", remedy=f"name it {path.stem}.toml, for example")
-    if there:
+    if exists:
         raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")

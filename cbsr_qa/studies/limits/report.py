@@ -89,8 +89,8 @@ def _limits(proposed: ProposedLimits) -> Table:
     )
     rows = []
     for limit in proposed.limits:
-        taken = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in limit.bounds.values())
-        now = _NONE if limit.lot_fails_present is None else len(limit.lot_fails_present)
+        distributions = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in limit.bounds.values())
+        present_failures = _NONE if limit.lot_fails_present is None else len(limit.lot_fails_present)
         rows.append(
             (
                 limit.label,
@@ -98,12 +98,12 @@ def _limits(proposed: ProposedLimits) -> Table:
                 f"{limit.sensors} × {limit.values}" if limit.values > 1 else str(limit.sensors),
                 number(limit.mean, 4),
                 number(max(bound.worst_deviation for bound in limit.bounds.values()), 4),
-                next(iter(taken)) if len(taken) == 1 else "see below",
+                next(iter(distributions)) if len(distributions) == 1 else "see below",
                 _exact(limit.lower),
                 _exact(limit.upper),
                 number(limit.marginal) if limit.marginal else "none",
                 _limit_words(limit.present),
-                f"{now} → {len(limit.lot_fails)} of {limit.sensors}",
+                f"{present_failures} → {len(limit.lot_fails)} of {limit.sensors}",
                 str(len(limit.lot_marginal)),
             )
         )
@@ -145,20 +145,20 @@ def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
     risks = ("C accepted", "P accepted", "C refused", "P refused")
     rows = []
     for limit in guarded:
-        found, shares = limit.uncertainty, [_NONE] * 4
-        assert found.standard is not None
-        assert found.coverage_factor is not None
+        uncertainty, risk_cells = limit.uncertainty, [_NONE] * 4
+        assert uncertainty.standard is not None
+        assert uncertainty.coverage_factor is not None
         if limit.risks is not None:
-            shares = [*_shares(limit.risks.marginal_accepted), *_shares(limit.risks.marginal_refused)]
-        freedom = _NONE if found.degrees_of_freedom is None else str(found.degrees_of_freedom)
-        known = (
-            f"{found.coverage_factor:.2f}",
-            number(found.standard, 4),
+            risk_cells = [*_shares(limit.risks.marginal_accepted), *_shares(limit.risks.marginal_refused)]
+        freedom = _NONE if uncertainty.degrees_of_freedom is None else str(uncertainty.degrees_of_freedom)
+        uncertainty_cells = (
+            f"{uncertainty.coverage_factor:.2f}",
+            number(uncertainty.standard, 4),
             unit_shown(limit.unit),
-            found.source,
+            uncertainty.source,
             freedom,
         )
-        rows.append((limit.label, *known, *shares))
+        rows.append((limit.label, *uncertainty_cells, *risk_cells))
     columns = ("measurement", "k", "u", "unit", "source", "degrees of freedom", *risks)
     return text_table(_GUARD.format(factor=factor), columns, rows, (1, 2, 5, 6, 7, 8, 9))
 

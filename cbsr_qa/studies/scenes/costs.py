@@ -217,10 +217,10 @@ def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int
     """
     tries_s: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(1 + _REPEATS):
-        for ours in (True, False):
+        for is_first_world in (True, False):
             start_s = _clock_s()
-            (world if ours else other).frame(*at)
-            tries_s[ours].append(_clock_s() - start_s)
+            (world if is_first_world else other).frame(*at)
+            tries_s[is_first_world].append(_clock_s() - start_s)
     return min(tries_s[True][1:]) - min(tries_s[False][1:])
 
 

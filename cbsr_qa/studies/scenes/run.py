@@ -173,8 +173,8 @@ def _scene_run(
 ) -> SceneRun:
     plan, dumps = setup.plan, recorded.transcript.dumps
     # A recording names its sensor type, which means a shipped one.
-    own = setup.sensor_type.document.path
-    named = [] if own is None else ["--sensor-type", str(own)]
+    sensor_type_path = setup.sensor_type.document.path
+    sensor_type_option = [] if sensor_type_path is None else ["--sensor-type", str(sensor_type_path)]
     return SceneRun(
         scene=plan.scene.name,
         seed=seed,
@@ -188,7 +188,7 @@ def _scene_run(
         files=files,
         effects=tuple(choice.name for choice in plan.scene.effects),
         not_modelled=(*plan.scene.not_modelled, *NOT_MODELLED),
-        analyse=shlex.join(["cbsr-qa", "analyse", files[0].path, *named]) if files else "",
+        analyse=shlex.join(["cbsr-qa", "analyse", files[0].path, *sensor_type_option]) if files else "",
     )
 
 
@@ -203,10 +203,10 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
     frames = 1 + min(dumps[0].frame, _MOST_REHEARSED) if dumps else 1
     plan = replace(setup.plan, loads=(), duration_s=frames * setup.plan.scene.frame_period_s)
     recorded = record_scene(world, plan)
-    whole = replace(recorded.transcript, lost=np.zeros_like(recorded.transcript.lost))
+    complete = replace(recorded.transcript, lost=np.zeros_like(recorded.transcript.lost))
     with TemporaryDirectory() as folder:
-        elsewhere = tuple(replace(target, path=Path(folder) / target.path.name) for target in targets)
-        write_all(replace(recorded, transcript=whole), elsewhere)
+        temporary_targets = tuple(replace(target, path=Path(folder) / target.path.name) for target in targets)
+        write_all(replace(recorded, transcript=complete), temporary_targets)
 
 
 def _label_recording(

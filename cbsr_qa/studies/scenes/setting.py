@@ -75,14 +75,14 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
 
 
 def _check_complete(loaded: Loaded[ScenePlan]) -> None:
-    given = {"sensor": loaded.value.sensor_type is not None, "recording": loaded.value.duration_s is not None}
-    lacking = [table for table, there in given.items() if not there]
+    is_given = {"sensor": loaded.value.sensor_type is not None, "recording": loaded.value.duration_s is not None}
+    lacking = [table for table, given in is_given.items() if not given]
     if lacking:
-        named = " and no ".join(f"[{table}]" for table in lacking)
+        table_names = " and no ".join(f"[{table}]" for table in lacking)
         unsaid = " and ".join(_LACKING[table][0] for table in lacking)
         lines = "\n".join(_LACKING[table][1] for table in lacking)
         raise ConfigError(
-            f"{loaded.document.label} has no {named}: it does not state {unsaid}",
+            f"{loaded.document.label} has no {table_names}: it does not state {unsaid}",
             remedy=f"add lines like these, before or after its other tables:\n{lines}",
         )
 

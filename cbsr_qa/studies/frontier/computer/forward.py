@@ -124,23 +124,23 @@ def _model(sensor: SensorType, contact_mm: float, order: int, size_mm: float) ->
 
 
 def _arc_errors(model: ForwardModel) -> dict[str, float]:
-    share, contrast = _INCLUSION
-    covered = cover(model.elements, RoundFootprint(0.0, 0.0, share * _disc().radius_mm))
+    radius_share, contrast = _INCLUSION
+    covered = cover(model.elements, RoundFootprint(0.0, 0.0, radius_share * _disc().radius_mm))
     included = model.with_change_on(covered.elements, covered.change(model.conductance, contrast - 1))
     return {
         "voltage_error": _error(model, model.readings(_exact_arcs(0.0))),
-        "voltage_error_inclusion": _error(included, model.readings(_exact_arcs(share))),
+        "voltage_error_inclusion": _error(included, model.readings(_exact_arcs(radius_share))),
     }
 
 
 def _pin_errors(model: ForwardModel) -> dict[str, float]:
-    local, used = LocalUpdate(model), model.pattern.usable()
+    local, is_usable = LocalUpdate(model), model.pattern.usable()
     reference, errors = model.voltages(), []
     unloaded, changes = _exact_pins()
     for (x_mm, y_mm), exact in zip(NINE_LOCATIONS_MM, changes, strict=True):
         covered = cover(model.elements, RoundFootprint(x_mm, y_mm, _HEAD_MM))
         pressed = local.voltages(covered.elements, covered.change(model.conductance, _CONTRAST))
-        errors.append(np.linalg.norm((pressed - reference)[used] - exact) / np.linalg.norm(exact))
+        errors.append(np.linalg.norm((pressed - reference)[is_usable] - exact) / np.linalg.norm(exact))
     return {
         "voltage_error": _error(model, model.readings(unloaded)),
         "load_signal_error": float(np.mean(errors)),

@@ -184,11 +184,11 @@ def _prepare_smoothed(method: MethodSetting, value: float, problem: ImagingProbl
     """The method with a given λ, or number of components."""
     if method.smoothing != "components":
         return make_method(method, **{method.smoothing: value}).prepare(problem)
-    whole = max(1, round(value))
+    component_count = max(1, round(value))
     try:
-        return make_method(method, components=whole).prepare(problem)
+        return make_method(method, components=component_count).prepare(problem)
     except NumericsError:  # a pair of components: an adjacent count splits no pair
-        return make_method(method, components=whole + 1).prepare(problem)
+        return make_method(method, components=component_count + 1).prepare(problem)
 
 
 def precision_point(precision: str, batch: int) -> Point:
@@ -220,10 +220,10 @@ def precision_point(precision: str, batch: int) -> Point:
 
 def make_imager(matrix: Array, precision: str) -> Callable[[Array], Floats]:
     """Return what images blocks of changes (n, m) in a precision: (n, e)."""
-    kept = np.ascontiguousarray(matrix.T, dtype=precision)
+    transposed = np.ascontiguousarray(matrix.T, dtype=precision)
 
     def apply(block: Array) -> Floats:
-        images: Floats = block.astype(precision, copy=False) @ kept
+        images: Floats = block.astype(precision, copy=False) @ transposed
         return images
 
     return apply

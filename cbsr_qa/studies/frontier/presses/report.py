@@ -29,9 +29,9 @@ _READING: Final = (
 def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None) -> CommandOutcome[Frontier]:
     """Lay out accuracy against the number of presses of a recording called ``name``."""
     series = [
-        (each, [point for point in frontier.points if point.series == each])
-        for each in (AT_RANDOM, IN_ORDER)
-        if any(point.series == each for point in frontier.points)
+        (series_name, [point for point in frontier.points if point.series == series_name])
+        for series_name in (AT_RANDOM, IN_ORDER)
+        if any(point.series == series_name for point in frontier.points)
     ]
 
     def draw() -> str:
@@ -42,7 +42,7 @@ def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None)
     figure = Figure(_FIGURE, "Errors and coverage against the number of presses; the tables have the numbers.", draw)
     sections = (
         Section("How to read this page", (figure, *map(Paragraph, _READING)), page_only=True),
-        *(Section(f"Presses: {each}", tuple(_blocks(points))) for each, points in series),
+        *(Section(f"Presses: {series_name}", tuple(_blocks(points))) for series_name, points in series),
     )
     return CommandOutcome(frontier, _page(frontier, name), sections)
 

@@ -49,15 +49,15 @@ def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
 
 def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
     """Response predicted between loads by some of the processes, and how they are weighed against each other."""
-    wanted = np.array([[3.0, -4.0], [45.0, 0.0]])
+    query_places_mm = np.array([[3.0, -4.0], [45.0, 0.0]])
     learned = learn_response(places_mm, log_response, variance, radius_mm=50.0)
-    some = np.linspace(0, len(learned.weights) - 1, _PROCESSES).astype(int)
-    chosen = learned.weights[some] / learned.weights[some].sum()
-    partly = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in some), chosen)
-    mean, spread = partly.predict(wanted)
-    exact_mean, exact_spread = exact_map(partly, places_mm, log_response, variance, wanted)
+    selected = np.linspace(0, len(learned.weights) - 1, _PROCESSES).astype(int)
+    weights = learned.weights[selected] / learned.weights[selected].sum()
+    partial_map = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in selected), weights)
+    mean, spread = partial_map.predict(query_places_mm)
+    exact_mean, exact_spread = exact_map(partial_map, places_mm, log_response, variance, query_places_mm)
     error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
-    condition = map_condition(partly, places_mm, variance)
+    condition = map_condition(partial_map, places_mm, variance)
     return answer_from_condition(error, condition, note=f"{_PROCESSES} of {len(learned.weights)} processes compared")
 
 
@@ -173,15 +173,15 @@ def map_with_nan() -> None:
 @AREA.against(_TURN)
 def registration_far_from_the_origin() -> Answer:
     """Places with an origin ten kilometres away, on two sides."""
-    first = 1e7
+    offset_mm = 1e7
     turn = 1.02 * np.exp(0.1j)
     p = NINE[:, 0] + 1j * NINE[:, 1]
     q = turn * p
-    near = np.column_stack([p.real, p.imag]) + first
-    far = np.column_stack([q.real, q.imag]) - 3 * first
+    near = np.column_stack([p.real, p.imag]) + offset_mm
+    far = np.column_stack([q.real, q.imag]) - 3 * offset_mm
     registered = register(near, far)
     error = max(relative_error(registered.scale, mpmath.mpf("1.02")), abs(np.radians(registered.rotation_deg) - 0.1))
-    condition = 3 * first / float(np.abs(p).max())
+    condition = 3 * offset_mm / float(np.abs(p).max())
     return answer_from_condition(float(error), condition)
 
 

@@ -59,12 +59,12 @@ def _mesh_image(values: Array) -> Image:
 def values_on_the_mask() -> Answer:
     """A mask at p % of the maximum is a comparison, and values that lie exactly on it round to either side."""
     steps = np.arange(1, 1001)
-    wrong = 0
+    wrong_count = 0
     for scale in (0.1, 1 / 3, np.pi, 1e-9, 7e8):
         for percent in (25, 50, 75, 85):
-            kept = percentage_mask(steps * scale / 1000, percent / 100)
-            wrong += int((kept != (100 * steps >= percent * 1000)).sum())
-    return Answer(float(wrong), 0.0, unit="elements", note="of 20 000 compared")
+            is_kept = percentage_mask(steps * scale / 1000, percent / 100)
+            wrong_count += int((is_kept != (100 * steps >= percent * 1000)).sum())
+    return Answer(float(wrong_count), 0.0, unit="elements", note="of 20 000 compared")
 
 
 @AREA.against("the whole sheet is in the set: resolution 1")
@@ -168,11 +168,11 @@ def centre_of_mass_far_from_the_origin() -> Answer:
     """A sheet with an origin a kilometre away."""
     y, x = np.mgrid[:_SIDE, :_SIDE]
     values = 1.0 + 0.01 * x + 0.02 * y
-    first = 1e6
+    offset_mm = 1e6
     near = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
-    far = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
-    condition = first / float(near.min())
-    return answer_from_condition(largest_relative_error(far - first, near.tolist()), condition)
+    far = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (offset_mm, offset_mm))), (0.5,))[0][0].centre_mm()
+    condition = offset_mm / float(near.min())
+    return answer_from_condition(largest_relative_error(far - offset_mm, near.tolist()), condition)
 
 
 @AREA.against("no element above it")

@@ -176,15 +176,15 @@ def frame_of_zeros() -> Answer:
 def nonsense_in_masked_channels() -> Answer:
     """The channels of an open electrode hold NaN, infinity and 1e300, and are masked."""
     sensor = usual_sensor()
-    used = mask_electrodes(sensor, (5,))
-    problem = imaging_problem(sensor, used=used, image_size_mm=IMAGE_MM)
+    is_used = mask_electrodes(sensor, (5,))
+    problem = imaging_problem(sensor, used=is_used, image_size_mm=IMAGE_MM)
     method = prepare_method(_METHOD, problem, {})
     _, reference, changed = _frames()
     images = []
     for nonsense in (np.zeros(3), np.array([np.nan, np.inf, 1e300])):
         frames = [reference.copy(), changed.copy()]
         for frame in frames:
-            frame[~used] = np.resize(nonsense, int((~used).sum()))
+            frame[~is_used] = np.resize(nonsense, int((~is_used).sum()))
         scale = scale_of(frames[0], problem)
         images.append(method.images(changes(frames[1][None], frames[0], problem, scale))[0])
     return Answer(float(np.abs(images[1] - images[0]).max()), 0.0, note="the bound is zero: they are not looked at")
@@ -199,16 +199,21 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
     fold = ReadingFold.from_problem(problem)
     computed = fold.fold(readings[None])[0]
-    weights = [1 / Fraction(one) for one in (10**decades).tolist()]
-    above, below, size = ([Fraction(0)] * len(computed) for _ in range(3))
+    weights = [1 / Fraction(numerator) for numerator in (10**decades).tolist()]
+    weighted_sums, weight_sums, absolute_sums = ([Fraction(0)] * len(computed) for _ in range(3))
     for group, sign, weight, reading in zip(
         fold.group.tolist(), fold.sign.tolist(), weights, readings.tolist(), strict=True
     ):
-        above[group] += weight * Fraction(sign) * Fraction(reading)
-        size[group] += weight * abs(Fraction(reading))
-        below[group] += weight
-    exact = np.array([float(one / other) for one, other in zip(above, below, strict=True)])
-    condition = max(float(all_ / abs(one)) for all_, one in zip(size, above, strict=True))
+        weighted_sums[group] += weight * Fraction(sign) * Fraction(reading)
+        absolute_sums[group] += weight * abs(Fraction(reading))
+        weight_sums[group] += weight
+    exact = np.array(
+        [float(numerator / denominator) for numerator, denominator in zip(weighted_sums, weight_sums, strict=True)]
+    )
+    condition = max(
+        float(absolute_sum / abs(numerator))
+        for absolute_sum, numerator in zip(absolute_sums, weighted_sums, strict=True)
+    )
     error = float(np.abs(computed / exact - 1).max())
     return answer_from_condition(error, condition)
 
@@ -225,10 +230,10 @@ def saturated_stuck_and_missing() -> Answer:
     voltages[:, 4, 9] = 0.0
     voltages[:, 11, 1] = 1.0005
     faults = find_faults(FrameBlock(np.arange(60) / 4.0, voltages, flags, VoltageUnit.VOLT, 1e-3), ScanKind.FULL)
-    made = np.zeros(sensor.pattern.shape, dtype=np.bool_)
+    expected_bad = np.zeros(sensor.pattern.shape, dtype=np.bool_)
     for channel in ((2, 7), (4, 9), (11, 1)):
-        made[channel] = True
-    return Answer(float((faults.bad != made).sum()), 0.0, unit="channels", note="the bound is zero")
+        expected_bad[channel] = True
+    return Answer(float((faults.bad != expected_bad).sum()), 0.0, unit="channels", note="the bound is zero")
 
 
 @AREA.refuses(NumericsError, "the refusal, with what to check")

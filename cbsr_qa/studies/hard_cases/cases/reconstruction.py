@@ -101,17 +101,17 @@ def _lasting(frames: float) -> Answer:
     exact = np.empty_like(computed)
     conditions = []
     with mp.workdps(DIGITS):
-        between = mp.exp(-1 / mp.mpf(frames))
+        frame_correlation = mp.exp(-1 / mp.mpf(frames))
         for column, value in enumerate(values.tolist()):
             prior = mp.matrix(count, count)
             for i in range(count):
                 for j in range(count):
-                    prior[i, j] = between ** abs(i - j)
+                    prior[i, j] = frame_correlation ** abs(i - j)
             system = mp.mpf(value) * prior + mp.mpf(ridge2) * mp.eye(count)
             smoother = prior * system**-1
             exact[:, column] = [float(value) for value in smoother * mp.matrix(readings[:, column].tolist())]
-            felt = np.abs(np.array(smoother.tolist(), dtype=np.float64)) @ np.abs(readings[:, column])
-            conditions.append(np.linalg.norm(felt) / np.linalg.norm(exact[:, column]))
+            absolute_terms = np.abs(np.array(smoother.tolist(), dtype=np.float64)) @ np.abs(readings[:, column])
+            conditions.append(np.linalg.norm(absolute_terms) / np.linalg.norm(exact[:, column]))
     condition = float(max(conditions))
     error = np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)
     return answer_from_condition(float(error.max()), condition)
