@@ -8,7 +8,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.world import SceneSetting
 from cbsr_qa.plugin.options import PluginOptions
 
-#: Above any quantity of a scene: its square is still finite, and so is its ratio to the smallest relevant one.
+#: Bound above any quantity of a scene: its square is still finite, and so is its ratio to the smallest relevant one.
 BEYOND: Final = 1e15
 
 Amount = Annotated[float, Field(ge=0, le=BEYOND)]

@@ -81,12 +81,14 @@ class PressWriter:
         surface = self._sheet.surface_mm(x_mm, y_mm, start_s)
         self._true = (x_mm, y_mm, self._arrival(to, start_s)[2])
         self._stroke = _Stroke(start_s, duration_s, true_mm, self._true[2], surface)
-        before, after = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
-        if before != after:
-            ramp_s = min(round_to_ticks(abs(after - before) / speed_mm_s), duration_s)
-            begins = start_s if after < before else start_s + duration_s - ramp_s
-            self._write(StrainRamp(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
-        if after == 0:
+        start_depth_mm, end_depth_mm = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
+        if start_depth_mm != end_depth_mm:
+            ramp_s = min(round_to_ticks(abs(end_depth_mm - start_depth_mm) / speed_mm_s), duration_s)
+            begin_s = start_s if end_depth_mm < start_depth_mm else start_s + duration_s - ramp_s
+            self._write(
+                StrainRamp(begin_s, ramp_s, (end_depth_mm - start_depth_mm) / self._sheet.thickness_mm(x_mm, y_mm))
+            )
+        if end_depth_mm == 0:
             self._pressing = None
 
     def halt(self, time_s: float) -> None:

@@ -17,7 +17,7 @@ from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Relaxation
 FORGOTTEN: Final = 1e-9
 
 #: Strain over which the intercept of a quasi-static line fades in: one step of the surface search, 0.05 mm of 4 mm.
-#: Below it the fitted line is meaningless, and without load there is no response.
+#: At smaller strains the fitted line is meaningless, and without load there is no response.
 CONTACT_STRAIN: Final = 0.0125
 
 
@@ -102,13 +102,13 @@ class Transients:
     def change_at(self, press: SimulatedPress, time_s: float) -> float:
         if not press.steps or time_s <= press.steps[0].start_s:
             return 0.0
-        over = self._known.get(press.index)
-        if over is None or over.press is not press or over.steps != len(press.steps):
-            over = self._known[press.index] = self._sum_ramps(press)
-        since = time_s - over.end_s
-        if since >= 0:
-            return sum([begun * math.exp(-since / tau) for begun, tau in over.terms])
-        return sum([ramp.change * transient(ramp, kernel, time_s) for ramp, kernel in over.ramps])
+        ramp_sums = self._known.get(press.index)
+        if ramp_sums is None or ramp_sums.press is not press or ramp_sums.steps != len(press.steps):
+            ramp_sums = self._known[press.index] = self._sum_ramps(press)
+        since_s = time_s - ramp_sums.end_s
+        if since_s >= 0:
+            return sum([amplitude * math.exp(-since_s / tau_s) for amplitude, tau_s in ramp_sums.terms])
+        return sum([ramp.change * transient(ramp, kernel, time_s) for ramp, kernel in ramp_sums.ramps])
 
     def _sum_ramps(self, press: SimulatedPress) -> "_Over":
         ramps = response_ramps(press, self._line) if self._line else ((s.change > 0, s) for s in press.steps)

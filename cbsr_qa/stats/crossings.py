@@ -94,14 +94,14 @@ class Crossing:
         NumericsError
             Naming both parts; or a group that is not in the design.
         """
-        one, two = (int(self.group_parts[self.index("group", name)]) for name in (first, second))
-        if one != two:
+        part, other = (int(self.group_parts[self.index("group", name)]) for name in (first, second))
+        if part != other:
             parts = self.parts
             raise NumericsError(
-                f"{first} and {second} cannot be compared: {_list_names(parts[one].groups)} ran on "
-                f"{_list_names(parts[one].stations)} only and {_list_names(parts[two].groups)} on "
-                f"{_list_names(parts[two].stations)} only, so stations may cause the difference",
-                remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[one].stations[0]}",
+                f"{first} and {second} cannot be compared: {_list_names(parts[part].groups)} ran on "
+                f"{_list_names(parts[part].stations)} only and {_list_names(parts[other].groups)} on "
+                f"{_list_names(parts[other].stations)} only, so stations may cause the difference",
+                remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[part].stations[0]}",
             )
 
     def index(self, kind: str, name: str) -> int:

@@ -37,9 +37,9 @@ class Fit:
 
     Parameters
     ----------
-    p_value : of the Shapiro–Wilk test.
+    p_value : p value of the Shapiro–Wilk test.
     refuted : whether it is below the requested level.
-    distribution : of single values.
+    distribution : distribution of single values.
     """
 
     p_value: float
@@ -69,7 +69,7 @@ def far_out(values: Sequence[float]) -> tuple[int, ...]:
     return tuple(int(index) for index in np.flatnonzero(_NORMAL_MAD * away / spread > FAR_OUT))
 
 
-#: With fewer sensors no distribution is tested.
+#: Number of sensors below which no distribution is tested.
 FEWEST_SENSORS = 3
 #: A normal or log-normal distribution is rejected below this p-value: at 0.05 one of a recipe's dozen limits would be
 #: refused for every second lot that is normal.
@@ -136,15 +136,15 @@ class Bound:
     Parameters
     ----------
     limit : rounded outwards to a hundredth of its distance from the mean.
-    distribution : of single values.
+    distribution : distribution of single values.
     independent_values : the sensors' worst values are modelled as the largest of this many independent ones: all of a
         run, or 1 if that is rejected and worst values are themselves normal, as when values of a sensor are
         correlated.
-    tests : of the distributions tried, in order.
-    scale : of ``parts``.
-    parts : of the sensors' worst values on that scale.
+    tests : tests of the distributions tried, in order.
+    scale : scale of ``parts``.
+    parts : variance components of the sensors' worst values on that scale.
     factor : k of mean + k deviation on that scale; None for order statistics.
-    worst_mean, worst_deviation : of the sensors' worst values in their own unit, deviation of a single run.
+    worst_mean, worst_deviation : mean and single-run deviation of the sensors' worst values, in their unit.
     """
 
     limit: float
@@ -185,8 +185,8 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
 
     Parameters
     ----------
-    smallest, largest : of each run of each sensor: the smallest and the largest of its values.
-    values : how many a run has; 1 if both are the same.
+    smallest, largest : smallest and largest value of each run of each sensor.
+    values : number of values of a run; 1 if both are the same.
     """
     smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
     if count < FEWEST_SENSORS:
@@ -228,16 +228,16 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
     fits: list[Fit] = []
     for distribution in looked_at:
         scale = Scale(sign, distribution is Distribution.LOG_NORMAL)
-        laid_out = [[scale.forward(x) for x in sensor] for sensor in runs]
-        means = np.array([np.mean(sensor) for sensor in laid_out])
+        scaled_runs = [[scale.forward(x) for x in sensor] for sensor in runs]
+        means = np.array([np.mean(sensor) for sensor in scaled_runs])
         for independent in dict.fromkeys((values, 1)):
             fit = replace(fits_worst_of(means, independent, LEVEL), distribution=distribution)
             fits.append(fit)
             if not fit.refuted:
-                parts = components(laid_out)
-                factor = _factor(parts, independent, values, ask)
-                limit = scale.inverse(parts.mean + factor * parts.deviation)
-                candidates.append(Bound(limit, distribution, independent, (), scale, parts, factor))
+                variance_components = components(scaled_runs)
+                factor = _factor(variance_components, independent, values, ask)
+                limit = scale.inverse(variance_components.mean + factor * variance_components.deviation)
+                candidates.append(Bound(limit, distribution, independent, (), scale, variance_components, factor))
                 break
     if not candidates:
         return _order_statistic_bound(runs, ask, sign, fits)
@@ -294,11 +294,11 @@ def outward(limit: float, mean: float, sign: int) -> float:
 
 
 def _all_far_out(smallest: Runs, largest: Runs, bounds: Sequence[Bound | str | None]) -> tuple[int, ...]:
-    found: set[int] = set()
+    sensors: set[int] = set()
     for runs, bound in zip((smallest, largest), bounds, strict=True):
         if bound is None:
             continue
         means = [float(np.mean(sensor)) for sensor in runs]
-        log_taken = isinstance(bound, Bound) and bound.scale.logarithmic
-        found |= set(far_out([log(x) for x in means] if log_taken else means))
-    return tuple(sorted(found))
+        is_log_normal = isinstance(bound, Bound) and bound.scale.logarithmic
+        sensors |= set(far_out([log(x) for x in means] if is_log_normal else means))
+    return tuple(sorted(sensors))

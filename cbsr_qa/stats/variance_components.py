@@ -26,11 +26,11 @@ class Components:
     Parameters
     ----------
     sensors : how many.
-    mean : of the sensors' means, each with equal weight however often it was run.
+    mean : mean of the sensors' means, each with equal weight however often it was run.
     between : variance of the sensors' means.
     within : variance between runs of one sensor; None if no sensor was run twice.
     repeats : its degrees of freedom.
-    share : of ``within`` that the sensors' means average away, 1 − 1/r̃ with r̃ the harmonic mean of runs a sensor.
+    share : share of ``within`` that the sensors' means average away: 1 − 1/r̃, r̃ the harmonic mean of runs a sensor.
     """
 
     sensors: int
@@ -79,10 +79,10 @@ class Components:
     def _draws(self) -> tuple[Array, Array]:
         """Fiducial draws of the mean's error and of the deviation; the seed is fixed, so that a lot has one limit."""
         random, freedom = np.random.default_rng(20090502), self.sensors - 1
-        between = freedom * self.between / random.chisquare(freedom, _DRAWS)
-        within = self.repeats * (self.within or 0.0) / random.chisquare(self.repeats, _DRAWS)
-        offset = random.standard_normal(_DRAWS) * np.sqrt(between / self.sensors)
-        return offset, np.sqrt(between + self.share * within)
+        between_draws = freedom * self.between / random.chisquare(freedom, _DRAWS)
+        within_draws = self.repeats * (self.within or 0.0) / random.chisquare(self.repeats, _DRAWS)
+        offset = random.standard_normal(_DRAWS) * np.sqrt(between_draws / self.sensors)
+        return offset, np.sqrt(between_draws + self.share * within_draws)
 
 
 def telling_runs(runs: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:

@@ -62,8 +62,8 @@ def skewness_ratio(coverage: float, confidence: float, values: int, sensors: int
 
     Parameters
     ----------
-    coverage, confidence : of the bound mean + k s.
-    values : of each sensor.
+    coverage, confidence : coverage and confidence of the bound mean + k s.
+    values : number of values of each sensor.
     sensors : behind the mean and s.
     """
     if values == 1:

@@ -64,9 +64,9 @@ class Drawn:
 
     Parameters
     ----------
-    mean : of batch 41 on station A, in the unit.
+    mean : mean of batch 41 on station A, in the unit.
     sensor, run, place : standard deviations between sensors, runs of a sensor, and places of a run (or 0).
-    batch, station : what batch 43 and station B add, in deviations between sensors.
+    batch, station : offsets of batch 43 and of station B, in deviations between sensors.
     """
 
     name: str

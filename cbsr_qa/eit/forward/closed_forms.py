@@ -22,7 +22,7 @@ class ConcentricSheet:
 
     Parameters
     ----------
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
     conductance_S : sheet conductance γ outside the inclusion.
     inclusion_radius_mm : 0 for a homogeneous sheet; below the sheet's.
     inclusion_conductance_S : γ_i; 0 is a hole.

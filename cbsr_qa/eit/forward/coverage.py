@@ -71,18 +71,19 @@ class Cover:
             If the change leaves no conductance, or is not finite.
         """
         relative = np.broadcast_to(np.asarray(relative, dtype=np.float64), self.share.shape)
-        wrong = np.flatnonzero(~((relative > -1) & (relative < np.inf)))
-        if wrong.size:
+        bad_indices = np.flatnonzero(~((relative > -1) & (relative < np.inf)))
+        if bad_indices.size:
             raise NumericsError(
-                f"a relative change of {relative[wrong[0]]} leaves no positive conductance", remedy="stay over −1"
+                f"a relative change of {relative[bad_indices[0]]} leaves no positive conductance",
+                remedy="stay over −1",
             )
-        part = self._within(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
+        spread = self._within(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
         relative = relative[:, None]
-        along = 1 + part * relative
-        across = 1 / (1 - part * relative / (1 + relative))
-        lower = np.where(self.share[:, None] < WHOLE, across - along, 0.0)[..., None, None]
+        along_factor = 1 + spread * relative
+        across_factor = 1 / (1 - spread * relative / (1 + relative))
+        lower = np.where(self.share[:, None] < WHOLE, across_factor - along_factor, 0.0)[..., None, None]
         turned = lower * self.across[..., :, None] * self.across[..., None, :]
-        change: Array = (along - 1)[..., None, None] * np.eye(2) + turned
+        change: Array = (along_factor - 1)[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
     def _within(self, margin: Array) -> Array:
@@ -104,13 +105,13 @@ def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
     share = np.minimum(share[share > 1e-12], 1.0)
     points = elements.shapes.points
     spread = np.repeat(share[:, None], len(points), axis=1)
-    across = np.zeros((*spread.shape, 2))
-    cut = np.flatnonzero(share < WHOLE)
-    corners = mesh.corners_mm[touched[cut]]
-    across[cut] = outline_normals(footprint, corners, points)
+    normals = np.zeros((*spread.shape, 2))
+    cut_indices = np.flatnonzero(share < WHOLE)
+    corners = mesh.corners_mm[touched[cut_indices]]
+    normals[cut_indices] = outline_normals(footprint, corners, points)
     if elements.order == 2:
-        spread[cut] += slopes(footprint, corners, share[cut]) @ (points - 1 / 3).T
-    return Cover(touched, share, spread, across)
+        spread[cut_indices] += slopes(footprint, corners, share[cut_indices]) @ (points - 1 / 3).T
+    return Cover(touched, share, spread, normals)
 
 
 def shares(footprint: Footprint, corners: Array) -> Array:
@@ -122,13 +123,13 @@ def shares(footprint: Footprint, corners: Array) -> Array:
 
 def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
     """Elements whose bounding circle overlaps the footprint's box."""
-    drawn = footprint.outline_mm()
-    middle, half = (
-        (drawn.max(axis=0) + drawn.min(axis=0)) / 2,
-        0.51 * np.ptp(drawn, axis=0),
+    outline_mm = footprint.outline_mm()
+    middle, half_extent_mm = (
+        (outline_mm.max(axis=0) + outline_mm.min(axis=0)) / 2,
+        0.51 * np.ptp(outline_mm, axis=0),
     )
-    beside = np.abs(elements.mesh.centroids_mm - middle) - half
-    return np.flatnonzero((beside <= elements.reaches_mm[:, None]).all(axis=1))
+    distances_mm = np.abs(elements.mesh.centroids_mm - middle) - half_extent_mm
+    return np.flatnonzero((distances_mm <= elements.reaches_mm[:, None]).all(axis=1))
 
 
 def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
@@ -146,10 +147,10 @@ def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
 
 def _corners(levels: Array) -> Array:
     """Parts of a triangle where a barycentric coordinate is above a level, by their corners: (3, n, 3, 3)."""
-    parts = np.zeros((3, len(levels), 3, 3))
+    triangles = np.zeros((3, len(levels), 3, 3))
     for corner in range(3):
-        parts[corner] = np.eye(3)[corner] + (1 - levels)[:, None, None] * (np.eye(3) - np.eye(3)[corner])
-    return parts
+        triangles[corner] = np.eye(3)[corner] + (1 - levels)[:, None, None] * (np.eye(3) - np.eye(3)[corner])
+    return triangles
 
 
 def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Array:
@@ -240,18 +241,18 @@ def cover_by_nested_outlines(
     # A smaller outline covers an element as the largest one covers a larger element.
     grown = (mesh.corners_mm[near] - centre) / sizes[:, None, None, None] + centre
     share = np.minimum(shares(largest, grown.reshape(-1, 3, 2)).reshape(len(sizes), -1), 1.0)
-    touched = share.max(axis=0) > 1e-12
-    share, grown, near = share[:, touched], grown[:, touched], near[touched]
+    is_touched = share.max(axis=0) > 1e-12
+    share, grown, near = share[:, is_touched], grown[:, is_touched], near[is_touched]
     points = elements.shapes.points
     spread = np.repeat(share[..., None], len(points), axis=-1)
-    cut = (share > 1e-12) & (share < WHOLE)
+    is_cut = (share > 1e-12) & (share < WHOLE)
     if elements.order == 2:
-        line = slopes(largest, grown[cut], share[cut]) @ (points - 1 / 3).T
-        spread[cut] += _limit_sum(line, share[cut])
-    across = np.zeros((len(near), len(points), 2))
-    some = cut.any(axis=0)
-    across[some] = outline_normals(largest, mesh.corners_mm[near[some]], points)
-    return NestedCover(near, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), across)
+        line = slopes(largest, grown[is_cut], share[is_cut]) @ (points - 1 / 3).T
+        spread[is_cut] += _limit_sum(line, share[is_cut])
+    normals = np.zeros((len(near), len(points), 2))
+    is_ever_cut = is_cut.any(axis=0)
+    normals[is_ever_cut] = outline_normals(largest, mesh.corners_mm[near[is_ever_cut]], points)
+    return NestedCover(near, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), normals)
 
 
 def _layers(spread: Array) -> Array:

@@ -48,16 +48,16 @@ def refine(
         If corrections do not shrink: the factors have no accurate digit.
     """
     high, low = potentials - potentials[ground], np.zeros_like(potentials)
-    left = np.inf
+    change_share = np.inf
     for _ in range(_MOST_STEPS):
         correction = solve(load - _out_of(conductors, high, low))
         correction -= correction[ground]
-        high, lost = _sum(high, correction)
-        high, low = _sum(high, low + lost)
-        before, left = left, _share(correction, high)
-        if left <= _DONE or left > _SHRINKS * before:
+        high, rounding_error = _sum(high, correction)
+        high, low = _sum(high, low + rounding_error)
+        previous_share, change_share = change_share, _share(correction, high)
+        if change_share <= _DONE or change_share > _SHRINKS * previous_share:
             break
-    if not left <= _LOST:
+    if not change_share <= _LOST:
         raise NumericsError(
             "the sheet's potentials cannot be refined: conductances and contact impedances span too wide a range",
             remedy="bring conductances and contact impedances closer to each other",
@@ -166,7 +166,7 @@ class Factors:
 
     Parameters
     ----------
-    factors : in the order of elimination, with one node fixed.
+    factors : LU factors in the order of elimination, with one node fixed.
     place : (n,) each node's place in that order.
     conductors : the matrix without the term that fixes the node.
     ground : place of the fixed node. held_by : conductance that fixes it [S].

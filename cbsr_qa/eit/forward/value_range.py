@@ -20,7 +20,7 @@ CONTACT_RANGE: Final = (1e-9, 1e9)
 FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
 #: Largest over smallest conductance.
 MOST_CONTRAST: Final = 1e8
-#: Above this ratio of conductances, including contacts, potentials are refined.
+#: Ratio of conductances, including contacts, above which potentials are refined.
 REFINED_ABOVE: Final = 1e2
 #: Relative rounding error of readings and sensitivities that are not refined, per ratio of conductances.
 UNREFINED_ERROR: Final = 1.5e-14
@@ -79,25 +79,28 @@ def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside:
     if np.isinf(lengths_mm).any():
         return bool(best > REFINED_ABOVE * worst)
     length = impedance / lengths_mm
-    near = np.array([least[of].min() for of in beside]), np.array([most[of].max() for of in beside])
-    for where, (lowest, highest), allowed in (
-        ("the conductance next to it", near, CONTACT_RANGE),
+    neighbour_extremes = (
+        np.array([least[neighbours].min() for neighbours in beside]),
+        np.array([most[neighbours].max() for neighbours in beside]),
+    )
+    for conductance_name, (lowest, highest), allowed in (
+        ("the conductance next to it", neighbour_extremes, CONTACT_RANGE),
         ("the sheet's smallest or largest conductance", (worst, best), FAR_CONTACT_RANGE),
     ):
-        _check_ratios(length * lowest, length * highest, impedance, where, allowed)
+        _check_ratios(length * lowest, length * highest, impedance, conductance_name, allowed)
     return bool(max(best, (lengths_mm / impedance).max()) > REFINED_ABOVE * worst)
 
 
 def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed: tuple[float, float]) -> None:
-    wrong = np.flatnonzero((low < allowed[0]) | (high > allowed[1]))
-    if wrong.size:
-        first = wrong[0]
-        good = low[first] < allowed[0]
+    bad = np.flatnonzero((low < allowed[0]) | (high > allowed[1]))
+    if bad.size:
+        k = bad[0]
+        too_low = low[k] < allowed[0]
         raise ValueRangeError(
-            f"contact impedance {first} is {impedance[first]:g} Ω·mm, {(low if good else high)[first]:.3g} of the"
-            f" electrode's length over {where} (z γ/|E|; one of {wrong.size} such); {allowed[0]:g} to {allowed[1]:g}"
+            f"contact impedance {k} is {impedance[k]:g} Ω·mm, {(low if too_low else high)[k]:.3g} of the"
+            f" electrode's length over {where} (z γ/|E|; one of {bad.size} such); {allowed[0]:g} to {allowed[1]:g}"
             " are allowed: outside this range rounding would decide the readings",
-            remedy=f"{'raise' if good else 'lower'} it; readings that touch no driven electrode hardly change",
+            remedy=f"{'raise' if too_low else 'lower'} it; readings that touch no driven electrode hardly change",
         )
 
 
@@ -122,11 +125,11 @@ def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
             f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed",
             remedy=f"give an array of shape {shape}",
         )
-    wrong = np.flatnonzero(~conducts(values))
-    if wrong.size:
+    bad_indices = np.flatnonzero(~conducts(values))
+    if bad_indices.size:
         direction = ", in every direction" if values.ndim > 1 else ""
         raise NumericsError(
-            f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
+            f"{name} {bad_indices[0]} is {values[bad_indices[0]].tolist()} (one of {bad_indices.size} such);"
             f" it must be a positive finite number{direction}",
             remedy=_NOTHING.get(name, ""),
         )

@@ -93,7 +93,7 @@ class Evidence:
     Parameters
     ----------
     changes : (n, m) float64, scaled as the problem's reference.
-    variance : of a reading of unit relative variance; None if unknown.
+    variance : variance of a reading of unit relative variance; None if unknown.
     words : description of them.
     """
 
@@ -154,11 +154,11 @@ def simulate_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evide
     deviation = 10 ** (-NOISE_DB / 20) * float(np.abs(problem.reference).mean())
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
     noise = np.random.default_rng(SEED).standard_normal((draws, len(relative))) * np.sqrt(relative)
-    words = (
+    description = (
         f"{frames} simulated frames (seed {SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
         f" {CONTRAST:.0%} contrast, noise {NOISE_DB} dB below the mean reading"
     )
-    return Evidence(central_signal(problem, CONTRAST) + deviation * noise, deviation**2, words)
+    return Evidence(central_signal(problem, CONTRAST) + deviation * noise, deviation**2, description)
 
 
 _LOWEST, _HIGHEST = 1e-6, 1e3  # λ searched, relative to the root of the largest eigenvalue
@@ -174,14 +174,14 @@ def noise_figure_of(
     """
     basis = areas[:, None] * spectrum.basis
     energy = (basis**2).sum(axis=0)
-    seen = spectrum.analysis @ signal
+    coefficients = spectrum.analysis @ signal
     variance = np.ones(len(signal)) if noise_variance is None else noise_variance
     snr = float(np.abs(signal).mean() / np.sqrt(variance.mean()))
 
     def figure(hyperparameter: float) -> float:
         gain = spectrum.gains(hyperparameter)
         noise = np.sqrt((energy * gain**2).sum() / len(areas))
-        return snr * float(noise / np.abs(basis @ (gain * seen)).mean())
+        return snr * float(noise / np.abs(basis @ (gain * coefficients)).mean())
 
     return figure
 

@@ -61,15 +61,15 @@ def ridge_reconstruction(
     NumericsError
         If λ is out of range, cannot be chosen or is too small to determine the image, or the prior cannot be made.
     """
-    own = RidgeSearch(problem, prior_of(problem))
+    search = RidgeSearch(problem, prior_of(problem))
     value, how, curve = regularisation.choose(
-        problem, lambda base: own if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
+        problem, lambda base: search if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
     )
-    matrix = own.spectrum.check_and_form_matrix(value)
+    matrix = search.spectrum.check_and_form_matrix(value)
     areas, variance = problem.mesh.areas_mm2, problem.noise_variance
     figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
     choice = ParameterChoice(value, how, figure, curve=curve, criterion=regularisation.decided_by)
-    return LinearReconstruction(method, problem, matrix, choice), own.spectrum
+    return LinearReconstruction(method, problem, matrix, choice), search.spectrum
 
 
 def _same_system(one: ImagingProblem, other: ImagingProblem) -> bool:
@@ -216,14 +216,14 @@ def choose_by_cross_validation(curves: RidgeCurves) -> float:
 
 def choose_by_l_curve(curves: RidgeCurves) -> float:
     """λ of the sharpest corner of the L-curve; NumericsError if it has none in the range searched."""
-    bend = curves.curvature(curves.grid)
+    curvature = curves.curvature(curves.grid)
     # At both ends one of the two logarithms is constant and the quotient is rounding.
-    steep = np.abs(np.gradient(np.log(curves.residual(curves.grid)), curves.grid)) > _STILL
-    bend = np.where(steep & np.isfinite(bend), bend, -np.inf)
-    where = int(np.argmax(bend))
-    if not bend[where] > 0:
+    is_steep = np.abs(np.gradient(np.log(curves.residual(curves.grid)), curves.grid)) > _STILL
+    curvature = np.where(is_steep & np.isfinite(curvature), curvature, -np.inf)
+    corner = int(np.argmax(curvature))
+    if not curvature[corner] > 0:
         raise NumericsError(f"the L-curve has no corner {_range(curves)}", remedy=_REMEDY)
-    return _refine_minimum(curves, where, lambda s: -float(curves.curvature(s)), "the L-curve")
+    return _refine_minimum(curves, corner, lambda s: -float(curves.curvature(s)), "the L-curve")
 
 
 def choose_by_discrepancy(curves: RidgeCurves, level: float) -> float:

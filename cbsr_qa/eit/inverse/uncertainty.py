@@ -24,7 +24,7 @@ class MaskingEffect:
 
     Parameters
     ----------
-    electrodes : without any remaining reading.
+    electrodes : electrodes without any remaining reading.
     left, of : remaining readings and all.
     typical, worst : median and largest ratio of the place's standard error to that with all readings.
     worst_x_mm, worst_y_mm : place of the largest.
@@ -64,15 +64,17 @@ def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
     if problem.nominal is None or len(problem.reference) == len(problem.nominal.reference):
         return None
     places = _places(problem)
-    jacobian, kept = problem.nominal.jacobian, problem.used[problem.nominal.used]
+    jacobian, is_kept = problem.nominal.jacobian, problem.used[problem.nominal.used]
     patterns = jacobian @ _bumps(problem, places)
-    all_of, some_of = (_place_bounds(rows.reshape(len(rows), 3, -1)) for rows in (patterns, patterns[kept]))
-    ratio = some_of / all_of
+    all_bounds, kept_bounds = (
+        _place_bounds(rows.reshape(len(rows), 3, -1)) for rows in (patterns, patterns[is_kept])
+    )
+    ratio = kept_bounds / all_bounds
     worst = int(np.argmax(ratio))
     return MaskingEffect(
         find_masked_electrodes(problem.sensor_type.pattern, problem.used),
-        int(kept.sum()),
-        len(kept),
+        int(is_kept.sum()),
+        len(is_kept),
         float(np.median(ratio)),
         float(ratio[worst]),
         float(places[worst, 0]),

@@ -46,7 +46,7 @@ class StripModel:
 
     Parameters
     ----------
-    sensor_type : of two electrodes, whose first drive pair is also its first measure pair.
+    sensor_type : sensor type with two electrodes, whose first drive pair is also its first measure pair.
     indenter : the head, with its axis over ``place_mm``.
     contact_length_mm : contact impedance of a pin over the strip's sheet resistance.
 
@@ -163,18 +163,24 @@ class DeepTank:
         Parameters
         ----------
         places : (p, 2), in units of the tank's radius; inside 0.95.
-        radius : of the balls.
+        radius : radius of the balls.
         conducts : whether they are perfect conductors or insulators.
 
         Returns
         -------
         (p, drives, measures), per unit of volume.
         """
-        first, second = self._derivatives(places)
+        first_derivatives, second_derivatives = self._derivatives(places)
         drive, measure = self._pattern.drive_currents(), self._pattern.measure_matrix()
         dipole, quadrupole = (3.0, 5 / 2) if conducts else (-3 / 2, -5 / 3)
-        gradient = np.einsum("pea,ed->pda", first, drive), np.einsum("pea,em->pma", first, measure)
-        bend = np.einsum("pea,ed->pda", second, drive), np.einsum("pea,em->pma", second, measure)
+        gradient = (
+            np.einsum("pea,ed->pda", first_derivatives, drive),
+            np.einsum("pea,em->pma", first_derivatives, measure),
+        )
+        bend = (
+            np.einsum("pea,ed->pda", second_derivatives, drive),
+            np.einsum("pea,em->pma", second_derivatives, measure),
+        )
         change: Array = dipole * np.einsum("pda,pma->pdm", *gradient)
         change += quadrupole * radius**2 / 5 * np.einsum("pda,pma->pdm", *bend)
         return -change
@@ -199,11 +205,11 @@ class DeepTank:
             return (coefficients * at_cos) @ el_cos.T + (coefficients * at_sin) @ el_sin.T
 
         waves, rho = (cosine, sine), radius[:, None]
-        along, across = series(slope, waves, False), -series(order * value, waves, True) / rho
+        radial, tangential = series(slope, waves, False), -series(order * value, waves, True) / rho
         rr = series(bend, waves, False)
-        tt = along / rho - series(order**2 * value, waves, False) / rho**2
-        rt = -series(order * slope, waves, True) / rho - across / rho
-        first, second = np.stack([along, across], axis=2), np.stack([rr, tt, np.sqrt(2) * rt, -rr - tt], axis=2)
+        tt = radial / rho - series(order**2 * value, waves, False) / rho**2
+        rt = -series(order * slope, waves, True) / rho - tangential / rho
+        first, second = np.stack([radial, tangential], axis=2), np.stack([rr, tt, np.sqrt(2) * rt, -rr - tt], axis=2)
         return first, second
 
     @staticmethod

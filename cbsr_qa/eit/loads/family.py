@@ -74,7 +74,7 @@ class StackedSeries(Sized):
 
     Parameters
     ----------
-    series : of the change of each load, (k, q, 2, 2) each.
+    series : series of the change of each load, (k, q, 2, 2) each.
     places : (k,) int64 of each, indices of its elements among all.
     shape : (all elements, q, 2, 2).
     """
@@ -86,15 +86,15 @@ class StackedSeries(Sized):
         terms, owners, orders = [], [], []
         for number, (load, place) in enumerate(zip(series, places, strict=True)):
             size = np.abs(load.coefficients).reshape(TERMS, -1).max(axis=1)
-            kept = (
+            kept_orders = (
                 np.flatnonzero(size > np.finfo(float).eps * size.max()) if load.reach else np.zeros(0, dtype=np.int64)
             )
-            spread = np.zeros((len(kept), *self._shape))
-            if kept.size:
-                spread[:, place] = load.coefficients[kept]
-            terms.append(spread.reshape(len(kept), -1))
-            owners.append(np.full(len(kept), number))
-            orders.append(kept)
+            spread = np.zeros((len(kept_orders), *self._shape))
+            if kept_orders.size:
+                spread[:, place] = load.coefficients[kept_orders]
+            terms.append(spread.reshape(len(kept_orders), -1))
+            owners.append(np.full(len(kept_orders), number))
+            orders.append(kept_orders)
         self._terms = np.concatenate(terms)
         self._owner, self._order = np.concatenate(owners), np.concatenate(orders)
         # Largest entry by strength, of matrices of two by two.
@@ -102,12 +102,12 @@ class StackedSeries(Sized):
 
     def __call__(self, strengths: Array) -> Array:
         """Return the sum of all changes for (n,) strengths: (all elements, q, 2, 2)."""
-        within = np.abs(strengths) <= self._reach
-        used = np.where(within, strengths, 0.0)
-        angle = np.arccos(np.clip(used / np.where(self._reach > 0, self._reach, 1.0), -1, 1))
-        factors = used[self._owner] * np.cos(self._order * angle[self._owner])
+        is_within_reach = np.abs(strengths) <= self._reach
+        series_strengths = np.where(is_within_reach, strengths, 0.0)
+        angle = np.arccos(np.clip(series_strengths / np.where(self._reach > 0, self._reach, 1.0), -1, 1))
+        factors = series_strengths[self._owner] * np.cos(self._order * angle[self._owner])
         change: Array = (factors @ self._terms).reshape(self._shape)
-        for number in np.flatnonzero(~within).tolist():
+        for number in np.flatnonzero(~is_within_reach).tolist():
             change[self._places[number]] += self._series[number](float(strengths[number]))
         return change
 
@@ -124,7 +124,7 @@ class LoadFamily:
     Parameters
     ----------
     elements : (k,) int64, rising.
-    change : of their conductance, by strength: (k, q, 2, 2) [S], zero for zero strength.
+    change : function of the strength that returns the change of their conductance, (k, q, 2, 2) [S]; zero at zero.
     """
 
     def __init__(self, elements: Indices, change: Callable[[float], Array]) -> None:

@@ -85,22 +85,24 @@ class LocalUpdate:
     ) -> ForwardModel | tuple[Array, Array]:
         """Change of the transfer impedance by the sheet and by contacts; or the sheet factorised again."""
         elements, change = self._check_change(elements, change)
-        contact_change, own = self.contact_change(contact_impedance)
+        contact_change, own_change = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
             return np.zeros_like(self.model.transfer_impedance), np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
         if patches is None:
             return self.model.with_change_on(elements, change, contact_impedance)
-        return patches.correction(change, contact_change), own
+        return patches.correction(change, contact_change), own_change
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
         """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential."""
-        before = self.model.contact_impedance
-        if impedance is None or np.array_equal(impedance, before):
-            return None, np.zeros((len(before), len(before)))
-        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), before.shape)
+        old_impedance = self.model.contact_impedance
+        if impedance is None or np.array_equal(impedance, old_impedance):
+            return None, np.zeros((len(old_impedance), len(old_impedance)))
+        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), old_impedance.shape)
         lengths = self.model.prepared.contacts.lengths_mm
-        return (before - impedance) / (before * impedance), np.diag((impedance - before) / lengths)
+        return (old_impedance - impedance) / (old_impedance * impedance), np.diag(
+            (impedance - old_impedance) / lengths
+        )
 
     def _check_change(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)

@@ -28,7 +28,7 @@ class PinnedDisc:
 
     Parameters
     ----------
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
     electrodes : pins anywhere inside it.
     contact_mm : contact impedance times sheet conductance [mm].
 
@@ -104,12 +104,12 @@ class PinnedDisc:
 
     def transfer_impedance(self) -> Array:
         """Electrode potentials per electrode current, (electrodes, electrodes) [Ω], with ΣI = ΣU = 0."""
-        apart = self._pins[:, None] - self._pins
-        np.fill_diagonal(apart, 1)
-        impedance = -np.log(np.abs(apart) * np.abs(1 - self._pins[:, None] * self._pins.conj())) / (2 * np.pi)
+        separation = self._pins[:, None] - self._pins
+        np.fill_diagonal(separation, 1)
+        impedance = -np.log(np.abs(separation) * np.abs(1 - self._pins[:, None] * self._pins.conj())) / (2 * np.pi)
         impedance += np.eye(len(self._pins)) * (self._impedance - log(self._rim)) / (2 * np.pi)
-        np.fill_diagonal(apart, np.inf)
-        direct = _powers(1 / apart, self._poles)
+        np.fill_diagonal(separation, np.inf)
+        direct = _powers(1 / separation, self._poles)
         image = _powers(self._pins[:, None] / (1 - self._pins[:, None] * self._pins.conj()), self._poles)
         direct, image = (values.reshape(len(values), -1) for values in (direct, image))
         from_poles = np.concatenate([(direct + image).real, (image - direct).imag], axis=1)
@@ -125,15 +125,15 @@ class PinnedDisc:
 
         ``near``, ``far`` : (n, pins, powers) of one over the way to each pin, and to its image.
         """
-        which = np.arange(orders)[:, None] + np.arange(1, self._poles + 1)  # power m + n of pole n, from 0
+        powers = np.arange(orders)[:, None] + np.arange(1, self._poles + 1)  # power m + n of pole n, from 0
         factor = np.array(
             [[comb(n + m - 1, m) * (-1) ** n for n in range(1, self._poles + 1)] for m in range(1, orders + 1)]
         )
-        own = (near[..., which] * factor).transpose(0, 2, 1, 3)  # (n, orders, pins, poles)
-        mirrored = ((far[..., which] * factor) @ self._mirror).transpose(0, 2, 1, 3)
-        shape = (*own.shape[:2], -1)
-        own, mirrored = own.reshape(shape), mirrored.reshape(shape)
-        total, difference = own + mirrored, own - mirrored
+        pole_fields = (near[..., powers] * factor).transpose(0, 2, 1, 3)  # (n, orders, pins, poles)
+        image_fields = ((far[..., powers] * factor) @ self._mirror).transpose(0, 2, 1, 3)
+        shape = (*pole_fields.shape[:2], -1)
+        pole_fields, image_fields = pole_fields.reshape(shape), image_fields.reshape(shape)
+        total, difference = pole_fields + image_fields, pole_fields - image_fields
         upper = np.concatenate([total.real, -difference.imag], axis=2)
         lower = np.concatenate([total.imag, difference.real], axis=2)
         return np.concatenate([upper, lower], axis=1)

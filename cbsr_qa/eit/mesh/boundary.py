@@ -53,7 +53,7 @@ def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> 
 
     Parameters
     ----------
-    power : of the distance; 1 − λ/3 at a corner with a field ∝ r^λ.
+    power : exponent of the distance; 1 − λ/3 at a corner with a field ∝ r^λ.
     """
     scale = size / (_SMOOTH_SIZE * radius)
     slope = _SMOOTH_STEEPEST * min(1.0, scale)
@@ -110,7 +110,7 @@ _TURN_PER_EDGE: Final = np.pi / 3  # of a rounded corner, at most
 _SHORT_ARC: Final = 0.6  # of the elements: shorter arcs have one node
 _SHORT_EDGE: Final = 0.45  # of the elements: round shorter edges they are smaller
 _ON_CORNER: Final = 0.01  # of a strip's width: ends closer to a corner lie on it
-#: Where sizes are evaluated along a stretch: dense at its ends, where they may be far smaller.
+#: Places along a stretch at which sizes are evaluated: dense at its ends, where they may be far smaller.
 _SAMPLES: Final = np.unique(
     np.concatenate([np.linspace(0, 1, 401), np.geomspace(1e-6, 0.1, 200), 1 - np.geomspace(1e-6, 0.1, 200)])
 )
@@ -134,7 +134,7 @@ class SizeField:
     ----------
     size : far from such places.
     slope : growth of the edge length per distance from a narrow place.
-    sources : where the field is singular.
+    sources : places where the field is singular.
     narrow, across : (w, 2), (w,) places on the edge and the edge length there.
     """
 
@@ -168,19 +168,19 @@ def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
     (w, 2) places on the edge, and (w,) the edge length that fits, not below ``size`` times :data:`FINEST`.
     """
     count = min(max(int(np.ceil(4 * curve.perimeter / size)), 16), 4000)
-    along = curve.perimeter * np.arange(count) / count
-    points = curve.points_at(along)
+    positions = curve.perimeter * np.arange(count) / count
+    points = curve.points_at(positions)
     pairs = cKDTree(points).query_pairs(_ACROSS * size, output_type="ndarray")
-    between = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
-    between = np.minimum(between, curve.perimeter - between)
-    straight = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
-    facing = between > _DETOUR * straight
+    path_lengths = np.abs(positions[pairs[:, 0]] - positions[pairs[:, 1]])
+    path_lengths = np.minimum(path_lengths, curve.perimeter - path_lengths)
+    distances = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
+    is_facing = path_lengths > _DETOUR * distances
     width = np.full(count, np.inf)
     for end in (0, 1):
-        np.minimum.at(width, pairs[facing, end], straight[facing])
-    across = np.maximum(width / _ACROSS, FINEST * size)
-    narrow = across < size
-    return points[narrow], across[narrow]
+        np.minimum.at(width, pairs[is_facing, end], distances[is_facing])
+    sizes_across = np.maximum(width / _ACROSS, FINEST * size)
+    is_narrow = sizes_across < size
+    return points[is_narrow], sizes_across[is_narrow]
 
 
 def singular_corners(curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:

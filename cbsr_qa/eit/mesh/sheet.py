@@ -41,7 +41,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     Parameters
     ----------
     size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
-    order : of the elements on the mesh.
+    order : order of the elements on the mesh.
 
     Raises
     ------
@@ -138,29 +138,29 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
 
 
 def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
-    half = layout.width_mm / radius / 2
-    ends = layout.angles_rad()[:, None] + np.array([-half, half])
+    half_angle = layout.width_mm / radius / 2
+    ends = layout.angles_rad()[:, None] + np.array([-half_angle, half_angle])
     tree = cKDTree(radius * _unit(ends.ravel()))
     if order == 1:
-        fewest, finest, grade = (
+        fewest_edges, finest, grade = (
             EDGES_PER_ARC,
             finest_of_arc(size, radius, layout.width_mm),
             plain_lengths(size, radius),
         )
     else:
-        fewest, finest = FEWEST_SMOOTHLY, finest_smoothly(size, radius, layout.width_mm)
+        fewest_edges, finest = FEWEST_SMOOTHLY, finest_smoothly(size, radius, layout.width_mm)
         grade = smooth_lengths(size, radius)
 
     def sizes(points: Points) -> Array:
         return grade(finest, np.asarray(tree.query(points)[0], dtype=np.float64))
 
     start = float(ends[0, 0])
-    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=fewest)
-    space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
+    arc = _spread_arc(radius, start, 2 * half_angle, sizes, at_least=fewest_edges)
+    space = _spread_arc(radius, start + 2 * half_angle, abs(layout.step_rad) - 2 * half_angle, sizes)
     edge = _rotate_copies(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
     period = len(edge) // layout.count
-    along = np.arange(len(arc) - 1)
-    edges = tuple((np.column_stack([along, along + 1]) + k * period) % len(edge) for k in range(layout.count))
+    arc_nodes = np.arange(len(arc) - 1)
+    edges = tuple((np.column_stack([arc_nodes, arc_nodes + 1]) + k * period) % len(edge) for k in range(layout.count))
     outline = Outline(
         edge,
         np.full(len(edge), -1, dtype=np.int64),

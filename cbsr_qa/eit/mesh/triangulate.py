@@ -108,14 +108,14 @@ def _refine(outline: Outline, points: Points) -> Points:
         centres, radii = _circumcircles(points, triangulate(outline, points))
         keep = outline.clearance(centres) > 0
         centres, radii = centres[keep], radii[keep]
-        wanted = outline.size(centres)
-        excess = radii * np.sqrt(3) / wanted
-        keep = (excess > _TOO_LARGE) & (outline.clearance(centres) > _CLEARANCE * wanted)
+        sizes = outline.size(centres)
+        excess = radii * np.sqrt(3) / sizes
+        keep = (excess > _TOO_LARGE) & (outline.clearance(centres) > _CLEARANCE * sizes)
         if not keep.any():
             break
         order = np.argsort(-excess[keep], kind="stable")
-        centres, wanted = centres[keep][order], wanted[keep][order]
-        points = np.vstack([points, centres[_spread(centres, _SPACING * wanted)]])
+        centres, sizes = centres[keep][order], sizes[keep][order]
+        points = np.vstack([points, centres[_spread(centres, _SPACING * sizes)]])
     return points
 
 
@@ -143,20 +143,20 @@ def _smooth(outline: Outline, points: Points, elements: Indices) -> Points:
     """Push the ends of short edges apart, in proportion to the missing length (Persson & Strang 2004)."""
     edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
     edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])
-    first, second = np.divmod(edges, len(points))
-    along = points[second] - points[first]
-    length = np.hypot(along[:, 0], along[:, 1])
-    wanted = outline.size((points[first] + points[second]) / 2)
-    wanted = 1.2 * wanted * np.sqrt((length**2).sum() / (wanted**2).sum())
-    push = (np.maximum(wanted - length, 0) / length)[:, None] * along
+    first_end, second_end = np.divmod(edges, len(points))
+    edge_vectors = points[second_end] - points[first_end]
+    length = np.hypot(edge_vectors[:, 0], edge_vectors[:, 1])
+    target_length = outline.size((points[first_end] + points[second_end]) / 2)
+    target_length = 1.2 * target_length * np.sqrt((length**2).sum() / (target_length**2).sum())
+    push = (np.maximum(target_length - length, 0) / length)[:, None] * edge_vectors
     move = np.zeros_like(points)
-    np.add.at(move, first, -push)
-    np.add.at(move, second, push)
+    np.add.at(move, first_end, -push)
+    np.add.at(move, second_end, push)
     fixed = len(outline.points)
     moved = points.copy()
     moved[fixed:] += 0.2 * move[fixed:]
-    stray = outline.clearance(moved[fixed:]) < 0.3 * outline.size(moved[fixed:])
-    moved[fixed:][stray] = points[fixed:][stray]
+    is_stray = outline.clearance(moved[fixed:]) < 0.3 * outline.size(moved[fixed:])
+    moved[fixed:][is_stray] = points[fixed:][is_stray]
     return moved
 
 

@@ -26,7 +26,7 @@ def checksum(text: str) -> int:
 def read_line(raw: bytes, last: int) -> NumberedLine:
     """Parse one line as Marlin's queue does."""
     text = raw[: LONGEST_LINE - 1].decode("ascii", "replace").split(";")[0].strip()
-    body, star, given = text.partition("*")
+    body, star, checksum_text = text.partition("*")
     if not text.startswith("N"):
         return None, body.strip(), "No Line Number with checksum" if star else ""
     digits, _, command = body[1:].partition(" ")
@@ -35,7 +35,7 @@ def read_line(raw: bytes, last: int) -> NumberedLine:
     number = int(digits)
     if not star:
         return number, command, "No Checksum with line number"
-    if not given.isdigit() or int(given) != checksum(body):
+    if not checksum_text.isdigit() or int(checksum_text) != checksum(body):
         return number, command, "checksum mismatch"
     if number != last + 1 and "M110" not in command:
         return number, command, "Line Number is not Last Line Number+1"
@@ -146,12 +146,12 @@ class EmulatedApplicator:
         self._offset: Position = self._head.target_mm  # the machine position that the firmware now calls 0
 
     def _obey(self, raw: bytes) -> str:
-        number, command, wrong = read_line(raw, self._last)
-        if number is not None and not wrong and Fault.RESEND in self._told:
+        number, command, problem = read_line(raw, self._last)
+        if number is not None and not problem and Fault.RESEND in self._told:
             self._told.discard(Fault.RESEND)
-            wrong = "checksum mismatch"
-        if wrong:
-            return f"Error:{wrong}, Last Line: {self._last}\nResend: {self._last + 1}\nok\n"
+            problem = "checksum mismatch"
+        if problem:
+            return f"Error:{problem}, Last Line: {self._last}\nResend: {self._last + 1}\nok\n"
         if number is not None:
             self._last = number
         if not command:
@@ -204,16 +204,16 @@ class EmulatedApplicator:
         A Prusa lifts first, and levels the mesh afterwards if no axis was named.
         """
         self._m400({})
-        named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
+        axes = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
         x, y, z = self._head.target_mm
         if self._firmware == "prusa":
             self._head.go((x, y, z + _HOMING_LIFT_MM), _HOMING_MM_S[2])
-        for axis in named:
+        for axis in axes:
             goal = list(self._head.target_mm)
             goal[axis] = 0.0
             self._head.go((goal[0], goal[1], goal[2]), _HOMING_MM_S[axis])
         self._m400({})
-        x, y, z = (0.0 if axis in named else offset for axis, offset in enumerate(self._offset))
+        x, y, z = (0.0 if axis in axes else offset for axis, offset in enumerate(self._offset))
         self._offset = (x, y, z)
         if not any(letter in parameters for letter in (*_AXES, "W")) and self._firmware == "prusa":
             self._wait_until(self._rig.clock.now() + _LEVELLING_S)

@@ -16,9 +16,9 @@ Counts = Indices
 _FILLED: Final = 0.4
 _UNSIGNED: Final = (0, 2**16 - 1)
 _SIGNED: Final = (-(2**15), 2**15 - 1)
-#: With more bytes unread at the other end the next row is lost: nothing reads them.
+#: Number of unread bytes above which the next row is lost: nothing reads them.
 _ROOM: Final = 2048
-#: After a longer jump in time rows older than two frames are lost [frames].
+#: Number of frames whose rows are kept after a longer jump in time; older rows are lost.
 _KEPT_FRAMES: Final = 2
 #: Start-up time before the first frame, and what it prints then.
 _BOOT_S: Final = 0.3

@@ -147,15 +147,15 @@ class EmulatedHead:
 
     def _begin(self, way: _Way) -> None:
         self._rests = way.goal
-        before, after = self._sheet_position(way.origin), self._sheet_position(way.goal)
-        if before[:2] != after[:2]:
-            surface_mm = self._world.surface_mm(*before[:2], way.start_s)
-            self.dragged += self._above_sheet(*before[:2]) and self._written.true[2] > surface_mm
-            self._written.travel((*after[:2], before[2]), way.end_s)
-        if before[2] != after[2] and self._above_sheet(*after[:2]):
-            self._written.stroke(after, way.start_s, way.end_s - way.start_s, way.speed_mm_s)
-        elif before[2] != after[2]:
-            self._written.travel(after, way.end_s)
+        origin, goal = self._sheet_position(way.origin), self._sheet_position(way.goal)
+        if origin[:2] != goal[:2]:
+            surface_mm = self._world.surface_mm(*origin[:2], way.start_s)
+            self.dragged += self._above_sheet(*origin[:2]) and self._written.true[2] > surface_mm
+            self._written.travel((*goal[:2], origin[2]), way.end_s)
+        if origin[2] != goal[2] and self._above_sheet(*goal[:2]):
+            self._written.stroke(goal, way.start_s, way.end_s - way.start_s, way.speed_mm_s)
+        elif origin[2] != goal[2]:
+            self._written.travel(goal, way.end_s)
 
     def _above_sheet(self, x_mm: float, y_mm: float) -> bool:
         outline = self._world.setting.sensor_type.outline

@@ -52,10 +52,10 @@ class EmulatedMultiplexer:
         with self._rig.lock:
             reply = self._execute(command)
         with self._writing:
-            held, self._waiting = self._waiting, b""
+            waiting, self._waiting = self._waiting, b""
         if command == b"c":
             self._later(str(self._counter).encode())
-        return held + reply
+        return waiting + reply
 
     def misbehave(self, fault: Fault) -> None:
         """Restart: the counter is reset and pending output is lost."""

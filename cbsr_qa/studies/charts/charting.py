@@ -52,8 +52,8 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
 
     Parameters
     ----------
-    values : in the order of runs; for means and ranges an incomplete last group is left out.
-    reference : as in :mod:`cbsr_qa.stats.control_charts`.
+    values : values in the order of runs; charts of means and ranges leave out an incomplete last group.
+    reference : reference period or standard of :mod:`cbsr_qa.stats.control_charts`.
 
     Raises
     ------
@@ -152,7 +152,7 @@ def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
 
 #: Most runs drawn; of longer charts only the latest.
 MOST_DRAWN: Final = 400
-#: With fewer runs the uncertainty of limits is reported.
+#: Number of runs below which the uncertainty of limits is reported.
 FEW_RUNS: Final = 25
 
 # What is noted of a chart.
@@ -176,7 +176,7 @@ class ChartPhase:
 
     Parameters
     ----------
-    runs : of each point; for a group the last.
+    runs : run of each point; for a group the last.
     """
 
     name: str
@@ -196,9 +196,9 @@ class MetricChart:
     Parameters
     ----------
     why : reason for a missing reference and chart.
-    reference_days : of the first and last run of the reference (UTC).
-    runs, values : from the first run of the reference on; ``reference_runs`` of them belong to it.
-    charts : of the reference period, then of later runs, with the same limits.
+    reference_days : days of the first and last run of the reference (UTC).
+    runs, values : runs and their values from the first run of the reference; ``reference_runs`` of them belong to it.
+    charts : charts of the reference period, then of later runs, with the same limits.
     """
 
     label: str

@@ -57,8 +57,8 @@ class MetricComparison:
 
     Parameters
     ----------
-    differences : of each other group from the reference; empty if the metric belongs to the station alone.
-    stations : of each other station from the first; empty for a single station, or if stations are the groups.
+    differences : difference of each other group from the reference; empty if the metric belongs to the station alone.
+    stations : difference of each other station from the first; empty for one station, or if stations are the groups.
     samples : (group, station, values of sensors), for plots.
     notes : weaknesses of design and fit, and omissions.
     """
@@ -78,7 +78,7 @@ class Comparison:
     Parameters
     ----------
     compared : whether any difference could be estimated.
-    metrics : of each metric and each other group; one entry without a group if a metric is not compared.
+    metrics : difference in each metric for each other group; one entry without a group if a metric is not compared.
     of_metrics : the same, metric by metric, with data for plots.
     headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.report.compare_outcome`.
     """
@@ -171,7 +171,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
 
     Parameters
     ----------
-    now : by the computer's clock, to recognise future times.
+    now : time of the computer's clock, to recognise future times.
 
     Raises
     ------

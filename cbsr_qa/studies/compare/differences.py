@@ -22,7 +22,7 @@ from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
 #: Model name of groups that cannot be separated.
 REFUSED: Final = "refused"
-#: Above this number of locations a phase has random loads rather than a grid.
+#: Largest number of locations of a grid; a phase with more has random loads.
 _MOST_PLACES: Final = 25
 _WITH_BATCH: Final = "group and each station's batches"
 
@@ -105,9 +105,9 @@ class Difference(Estimated):
     deviation : √(sensor² + run²) of the model, in the metric's unit; unit of the effect size, taken as known.
     equivalent : whether two one-sided tests show the difference to be within ``margin``, by ``equivalence_p``, which
         is adjusted for all such tests of the comparison.
-    sensors_to_show_alike : of each of two groups on one station, to show equivalence within the margin with 80 %
-        power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
-    sensors_needed : of each group to detect the difference ``detect``, likewise.
+    sensors_to_show_alike : sensors of each of two groups on one station, to show equivalence within the margin with
+        80 % power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
+    sensors_needed : number of sensors of each group to detect the difference ``detect``, likewise.
     """
 
     group: str | None = None

@@ -43,7 +43,7 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
     Parameters
     ----------
     samples : group, station, and one value per sensor.
-    groups : in order; the order determines the colours.
+    groups : names of the groups; their order determines the colours.
     """
     height = 0.55 + _MARK_IN * len(samples)
     figure = canvas(height)

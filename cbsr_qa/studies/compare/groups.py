@@ -32,7 +32,7 @@ class Grouping:
 
     Parameters
     ----------
-    names : of the groups, the reference first.
+    names : names of the groups, the reference first.
     labels, used : (R,) group of each run (empty if left out), and whether it counts.
     tests : group → sensor → indices of its runs that count, in order of time.
     left_out : reason → number of runs that do not count.
@@ -157,12 +157,12 @@ class Design:
 
     Parameters
     ----------
-    crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels* if
-        periods or software versions are compared: every batch at every station is a level, so that batches are not
-        mistaken for periods.
+    crossing : crossing of groups and stations; of batches and stations where stations are compared; of groups and
+        *levels* if periods or software versions are compared: every batch at every station is a level, so that
+        batches are not mistaken for periods.
     rows : (N,) indices of the runs.
-    stations : to compare besides the groups, the one with most runs (in the part with most stations) first; empty for
-        a single station, or if stations are the groups.
+    stations : stations to compare besides the groups, the one with most runs (in the part with most stations) first;
+        empty for a single station, or if stations are the groups.
     levels : level → its station and batch; empty if the crossing's levels are stations.
     of_the_stations : crossing for the comparison of stations: of batches and stations if there are levels, or
         materials of several batches are compared; else the crossing itself.

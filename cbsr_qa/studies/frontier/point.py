@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cbsr_qa.domain.errors import NumericsError, StoreError
 
-#: Which values are more accurate: larger or smaller ones, or those near a stated one, which are not compared.
+#: Direction of more accurate values: larger, smaller, or near a stated value (such values are not compared).
 Better = Literal["more", "less", "stated"]
 #: Setting of a knob: a name, a switch, or a number.
 Knob = str | bool | int | float
@@ -33,7 +33,7 @@ class Accuracy:
 
     Parameters
     ----------
-    stderr : of that mean; None if the value is exact, or from a single seed.
+    stderr : standard error of that mean; None if the value is exact, or from a single seed.
     better : whether larger (an overlap) or smaller (an error) is more accurate, or near to a stated value.
     """
 

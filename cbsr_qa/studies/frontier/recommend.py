@@ -37,8 +37,8 @@ def mark_worth(
 
     Parameters
     ----------
-    cost : of a point; one whose cost is None is not worth it.
-    names : of the accuracies to compare, by default all of the points; a point that lacks one is not worth its cost.
+    cost : function that returns the cost of a point; a point without a cost is not worth it.
+    names : names of the accuracies to compare, by default all; a point that lacks one is not worth its cost.
     across_series : compare settings of different series, too.
     """
     priced = [

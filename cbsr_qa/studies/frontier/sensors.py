@@ -52,7 +52,7 @@ def simulate_sensor(
 
     Parameters
     ----------
-    frame_period_s : of a frame; the noise of a reading falls with its square root (white noise).
+    frame_period_s : duration of a frame; the noise of a reading falls with its square root (white noise).
     whole_holds : False to take only the last frames of the grid's holds too.
 
     Raises

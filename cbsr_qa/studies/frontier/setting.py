@@ -37,13 +37,13 @@ class Setting:
     Parameters
     ----------
     places : number; nine are the paper's, others a sunflower over the disc of 40 mm.
-    strains_percent, trials : at each place.
-    hold_s, rest_s : of each press.
+    strains_percent, trials : strains and number of trials at each place.
+    hold_s, rest_s : time held and time of rest of each press.
     predicted : whether short holds are extrapolated to the end of long ones (transient compensation).
     steady_frames : averaged at the end of each hold.
     first_rest_s : before the first press.
     checks : random loads held for a minute, for relaxation and the accuracy of force.
-    frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
+    frame_period_s : duration of a frame; its noise falls with the square root (NPLC of the source meter).
     choice : choice of places: ``"sunflower"``, as in a recipe; or out of thirty ``"farthest first"`` or ``"least sure
         first"``, which evaluates the loads before the next choice.
     """

@@ -48,9 +48,9 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
 
     Parameters
     ----------
-    run : with only the loads of a setting.
+    run : run with the loads of a setting only.
     held_out : loads of the same sensor outside the setting, held for a minute.
-    design : of the simulated sheet: the truth.
+    design : design of the simulated sheet: the truth.
 
     Returns
     -------

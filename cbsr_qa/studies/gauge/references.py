@@ -34,7 +34,7 @@ class ReferenceValue:
 
     Parameters
     ----------
-    value, uncertainty : in ``unit``; one standard deviation, 0 if not stated.
+    value, uncertainty : reference value and its standard deviation in ``unit``; 0 if not stated.
     unit : must be the metric's; empty if an option omits it, for the metric's unit (named in sentences).
     """
 
@@ -51,7 +51,7 @@ class Bias:
 
     Parameters
     ----------
-    reference, uncertainty : of the sensor, in ``unit``.
+    reference, uncertainty : reference value of the sensor and its uncertainty, in ``unit``.
     runs : number of readings.
     bias : None for the reason ``why``.
     """

@@ -88,7 +88,7 @@ class MetricGauge:
     Parameters
     ----------
     tolerance, tolerance_of : the width that the gauge is compared with, of the ``"study"`` or the ``"recipe"``.
-    runs : with a value.
+    runs : number of runs with a value.
     missing : missing and surplus runs of a balanced crossing, in words.
     why : reason for a missing study; ``sensors`` to ``average_range`` are then None.
     crossing : the studied values, for the figure.

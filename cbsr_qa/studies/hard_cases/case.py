@@ -42,7 +42,7 @@ class Answer:
     ----------
     error : relative to truth, not negative; relative unless ``unit`` states otherwise.
     condition : condition number of the solved system; None without one.
-    unit : of error and bound; ``"1"`` for relative ones.
+    unit : unit of error and bound; ``"1"`` for relative ones.
     """
 
     error: float
@@ -104,9 +104,9 @@ class CaseResult:
     Parameters
     ----------
     outcome : within its bound, refused as it should be, or broken.
-    error, bound, unit, condition, note : of the answer; None if it was refused, failed, or is not finite.
-    reason : of the refusal or failure; None if within its bound.
-    remedy : what the user can do, or None.
+    error, bound, unit, condition, note : attributes of the answer; None if it was refused, failed, or is not finite.
+    reason : reason for the refusal or failure; None if within its bound.
+    remedy : action for the user, or None.
     """
 
     name: str

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.sheet.response_map import ResponseMap
 from cbsr_qa.domain.numbers import Array
 
-#: Of mpmath numbers.
+#: Arrays of mpmath numbers.
 _Exact = NDArray[np.object_]
-#: In extended precision, 64 bits of mantissa.
+#: Arrays of extended precision, 64 bits of mantissa.
 Long = NDArray[np.longdouble]
 
 #: Digits of truth.

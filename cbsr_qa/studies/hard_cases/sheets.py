@@ -66,7 +66,7 @@ def mask_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[
     return np.asarray(pattern.usable() & ~drives[:, None] & ~measures, dtype=np.bool_)
 
 
-#: Of mpmath numbers.
+#: Arrays of mpmath numbers.
 _Exact = NDArray[np.object_]
 
 ELECTRODES: Final = 8
@@ -154,7 +154,7 @@ def exact_readings(
 
     Parameters
     ----------
-    mesh : of some hundred nodes at most, which take a second.
+    mesh : mesh with a few hundred nodes at most; these take a second.
     conductance : (e,) [S]. contact_impedance : (electrodes,) [Ω·mm].
     """
     with mp.workdps(DIGITS):

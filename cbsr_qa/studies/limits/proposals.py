@@ -44,7 +44,7 @@ class Terms:
     ----------
     coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     guard_factor : width of the guard band over the expanded uncertainty.
-    distribution : of single values; None for the widest limit of those the lot does not reject.
+    distribution : distribution of single values; None for the widest limit of those the lot does not reject.
     """
 
     coverage: float = 0.99
@@ -136,7 +136,7 @@ class ProposedLimit(Judged):
     Parameters
     ----------
     sensors, values : number of sensors, and of values per run.
-    mean : of all values, with equal weight of sensors.
+    mean : mean of all values, with equal weight of sensors.
     marginal : width of the guard band, in ``unit``.
     bounds : basis of each side.
     positive : whether no value of the lot is zero or negative.

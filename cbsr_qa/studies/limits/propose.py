@@ -39,8 +39,8 @@ class ProposedLimits:
     version : name of these limits.
     coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     rule : the decision rule, in words.
-    data_sha256 : of every measurement of the lot.
-    limits, not_proposed : in the order of the recipe's measurements.
+    data_sha256 : digest of every measurement of the lot.
+    limits, not_proposed : measurements with and without a proposal, in the order of the recipe's measurements.
     lot_fails_any : sensors of the lot that fail at least one of the limits.
     without_size : overlaps that a recipe accepts only if it also bounds the blob's size, which these limits do not.
     output : the written file, or None.
@@ -77,7 +77,7 @@ def propose_limits(
     Parameters
     ----------
     names, everything : measurements; by default those limited by the recipe (all if it has no limits).
-    version : of the limits; by default the day and the first digits of the data's digest.
+    version : version of the limits; by default the day and the first digits of the data's digest.
     output : must not exist yet.
 
     Raises

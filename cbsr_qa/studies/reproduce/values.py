@@ -54,9 +54,9 @@ class SheetValues:
     by_mask : percentage mask → values over all held frames at 20 % strain.
     by_place : location → the same with the main mask.
     random : place of the list → error and deviation over trials, steady images.
-    settlings : of the conductance under the load, by strain.
+    settlings : settling of the conductance under the load, by strain.
     presses : single ones, left out of their own force model.
-    stress_slope_per_kPa, head_mm2 : for the detection limit.
+    stress_slope_per_kPa, head_mm2 : response per stress and area of the head, for the detection limit.
     """
 
     sheet: str

@@ -37,7 +37,7 @@ class Costs:
     effect_ms : per frame, of each enabled effect, with its share of work done once per scene.
     each_ms : the same without that share.
     once_ms : total work once per scene: when the sheet is made, when heads move, before frames are written.
-    frame_ms : of a whole frame during a load, with its force samples.
+    frame_ms : time of a whole frame during a load, with its force samples.
     compute_s : estimate for the whole recording.
     """
 

@@ -22,8 +22,8 @@ class ExplainedEffect:
     Parameters
     ----------
     perturbs : its stage; empty if unknown before it is created.
-    cost_ms_per_frame : with its share of work once per scene; 0 if disabled, None if not measured.
-    parameters : as given by the scene.
+    cost_ms_per_frame : cost, with a share of the work done once per scene; 0 if disabled, None if not measured.
+    parameters : parameters from the scene.
     does : first line of its docstring.
     each_ms, once_ms : cost per frame without that share, and total once per scene.
     """
@@ -46,7 +46,7 @@ class Explained:
     Parameters
     ----------
     effects : enabled ones in order, then the others by name.
-    frames : of the scene's recording; None without one.
+    frames : number of frames in the scene's recording; None without one.
     frame_ms, compute_s : measured, or None.
     measured_with : sensor type, material and load, in words; None if nothing was measured.
     """

@@ -42,7 +42,7 @@ class RecordedLoad:
 
     Parameters
     ----------
-    touch_s, clear_s : when the head reaches the nominal surface, and leaves it.
+    touch_s, clear_s : times at which the head reaches and leaves the nominal surface.
     """
 
     label: str

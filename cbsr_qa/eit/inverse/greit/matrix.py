@@ -183,10 +183,10 @@ class GreitChoice:
 
 def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
     """Find the λ whose matrix has a noise figure, to 1 in 1000; NumericsError names the range otherwise."""
-    kept = _recall_results(problem, design)
-    if noise_figure not in kept.chosen:
-        kept.chosen[noise_figure] = _Search(problem, design, kept).for_noise_figure(noise_figure)
-    return kept.chosen[noise_figure]
+    results = _recall_results(problem, design)
+    if noise_figure not in results.chosen:
+        results.chosen[noise_figure] = _Search(problem, design, results).for_noise_figure(noise_figure)
+    return results.chosen[noise_figure]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +206,11 @@ def _recall_results(problem: ImagingProblem, design: TargetDesign) -> _Kept:
         digest.update(np.ascontiguousarray(values).tobytes())
     digest.update(b"" if variance is None else variance.tobytes())
     key = digest.digest(), design
-    kept = _PROBLEMS.setdefault(key, _Kept())
+    results = _PROBLEMS.setdefault(key, _Kept())
     _PROBLEMS.move_to_end(key)
     while len(_PROBLEMS) > _KEPT:
         _PROBLEMS.popitem(last=False)
-    return kept
+    return results
 
 
 class _Search:

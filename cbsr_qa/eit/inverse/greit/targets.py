@@ -37,7 +37,7 @@ class TargetDesign:
     Parameters
     ----------
     head_mm : radius of the indenter.
-    radii_mm : of all targets, rising; the head's is one of them.
+    radii_mm : radii of all targets, rising; the head's is one of them.
     """
 
     head_mm: float
@@ -84,7 +84,7 @@ class Targets:
 
     Parameters
     ----------
-    mesh : of the image, n nodes.
+    mesh : mesh of the image, n nodes.
     centres_mm : (t, 2) float64.
     variance_mm2 : (t,) float64, second moment of each one's image.
     head_variance_mm2 : the same of a target of the head's size.
@@ -149,14 +149,14 @@ def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesig
     mesh, nodes = problem.mesh, problem.mesh.nodes_mm
     centres = nodes[_apart(nodes, _CLOSEST * design.head_mm)]
     white = fold.rows(problem.jacobian) / np.sqrt(fold.variance)[:, None]
-    parts = [disc_signals(white, mesh, centres, radius) for radius in design.radii_mm]
-    signals, count = np.hstack(parts), len(centres)
+    signals_by_radius = [disc_signals(white, mesh, centres, radius) for radius in design.radii_mm]
+    signals, count = np.hstack(signals_by_radius), len(centres)
     if not (signals != 0).any(axis=0).all():
         raise NumericsError("greit: no remaining reading responds to a target", remedy="repair the masked channels")
     radii = np.repeat(design.radii_mm, count)
     return Targets(
         mesh,
-        np.tile(centres, (len(parts), 1)),
+        np.tile(centres, (len(signals_by_radius), 1)),
         np.array([design.variance_mm2(radius) for radius in radii]),
         design.head_variance_mm2,
         radii == design.head_mm,

@@ -62,7 +62,7 @@ class TotalVariationImages:
 
     Parameters
     ----------
-    choice : of α.
+    choice : choice of α.
     minimise : prepared for the problem's mesh and readings.
     variance : noise that α was chosen for, of a reading of unit relative variance; None if unknown.
     """
@@ -109,10 +109,10 @@ class TotalVariationImages:
         white = self.readings.white(check_readings(changes, self.problem))
         images = [self.minimise.image(frame, self.choice.value) for frame in white]
         if self.variance is not None:
-            left = np.sqrt([image.residual / (white.shape[1] * self.variance) for image in images])
-            for frame in np.flatnonzero(left > _UNEXPLAINED)[:1]:
+            ratios = np.sqrt([image.residual / (white.shape[1] * self.variance) for image in images])
+            for frame in np.flatnonzero(ratios > _UNEXPLAINED)[:1]:
                 raise NumericsError(
-                    f"no image explains frame {frame}: the residual is {left[frame]:.0f} times the expected noise",
+                    f"no image explains frame {frame}: the residual is {ratios[frame]:.0f} times the expected noise",
                     remedy="set noise_dB to the noise of the readings, or check geometry and channels",
                 )
         return images

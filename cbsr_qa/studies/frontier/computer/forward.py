@@ -78,7 +78,7 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
     Parameters
     ----------
     electrodes : ``"arc"`` or ``"pin"``.
-    order : of the elements.
+    order : order of the elements.
     size_mm : edge length far from the electrodes.
     """
     sensor, contact_mm = _disc(), _PIN_CONTACT_MM

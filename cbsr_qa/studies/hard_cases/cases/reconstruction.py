@@ -37,7 +37,7 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
 
     Parameters
     ----------
-    kind : of :func:`usual_problem`.
+    kind : kind of :func:`usual_problem`.
     relative : λ over the largest singular value of W^½JR^−½.
     """
     problem = usual_problem(kind)

@@ -50,7 +50,7 @@ def fit_known_curve(
 
     Parameters
     ----------
-    unit, second : what the values are multiplied by, and how many units of time a second has.
+    unit, second : factor of the values, and units of time in a second.
     single : whether the values are rounded to single precision first.
     """
     values = curve(offset, amplitudes, taus_s)

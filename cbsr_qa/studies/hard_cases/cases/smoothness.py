@@ -21,7 +21,7 @@ from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepare_method, ring_me
 
 AREA: Final = Area("reconstruction")
 _SEED: Final = 20261122
-#: Of the sheet: 168 elements, 54 independent readings whose singular values span four decades and a half.
+#: Sheet with 168 elements, 54 independent readings whose singular values span four decades and a half.
 _ELECTRODES, _RINGS = 12, 4
 
 
