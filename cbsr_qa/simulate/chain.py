@@ -105,8 +105,8 @@ class Chain:
             finally:
                 end_copy(process)
             if not finite:
-                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
-                raise PluginError(f"{what} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
+                problem = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
+                raise PluginError(f"{problem} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """Times after the first and up to the last [s] at which the impedance jumps."""
@@ -183,8 +183,8 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except BaseException as error:
-        what = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
-        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be created: {what}") from error
+        reason = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
+        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be created: {reason}") from error
     _check_names(choice.name, effect)
     if effect.perturbs not in STAGES:
         raise ConfigError(

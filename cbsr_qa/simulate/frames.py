@@ -57,7 +57,7 @@ class SimulatedRing:
         return 0.0
 
 
-#: Relative conductance changes below this are not solved for. A used reading changes by less than that, in units of
+#: Relative conductance change below which nothing is solved. A used reading changes by less than that, in units of
 #: the mean reading, even with the head beside a pin: the error is three orders below the noise of the quieter shipped
 #: material (1.9e-4 in the same units).
 NEGLIGIBLE_CHANGE: Final = 1e-7

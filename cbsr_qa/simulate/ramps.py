@@ -95,9 +95,9 @@ class Transients:
         """Time after a press beyond which less than :data:`FORGOTTEN` of it remains, for any strain [s]."""
         largest = 1.0 if self._line is None else abs(self._line.slope.value) + abs(self._line.intercept.value)
         kernels = [kernel for kernel in self._kernels.values() if kernel is not None]
-        parts = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
-        lasts = [tau * math.log(max(abs(w) * largest * len(parts) / FORGOTTEN, 1.0)) for w, tau in parts]
-        return max(lasts, default=0.0)
+        terms = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
+        durations_s = [tau * math.log(max(abs(w) * largest * len(terms) / FORGOTTEN, 1.0)) for w, tau in terms]
+        return max(durations_s, default=0.0)
 
     def change_at(self, press: SimulatedPress, time_s: float) -> float:
         if not press.steps or time_s <= press.steps[0].start_s:
@@ -114,13 +114,15 @@ class Transients:
         ramps = response_ramps(press, self._line) if self._line else ((s.change > 0, s) for s in press.steps)
         answered = [(ramp, kernel) for loads, ramp in ramps if (kernel := self._kernels[loads])]
         end_s = max(step.start_s + step.ramp_s for step in press.steps)
-        begun: dict[float, float] = {}
+        amplitude_by_tau: dict[float, float] = {}
         for ramp, kernel in answered:
             past = end_s - (ramp.start_s + ramp.ramp_s)
             for weight, tau in zip(kernel.weights, kernel.time_constants_s, strict=True):
-                left = weight * math.exp(-past / tau) * _share(ramp.ramp_s / tau)
-                begun[tau] = begun.get(tau, 0.0) + ramp.change * left
-        return _Over(press, len(press.steps), end_s, answered, [(start, tau) for tau, start in begun.items()])
+                remaining_share = weight * math.exp(-past / tau) * _share(ramp.ramp_s / tau)
+                amplitude_by_tau[tau] = amplitude_by_tau.get(tau, 0.0) + ramp.change * remaining_share
+        return _Over(
+            press, len(press.steps), end_s, answered, [(start, tau) for tau, start in amplitude_by_tau.items()]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,5 +151,5 @@ def _split(step: StrainRamp, strain: float) -> Iterator[StrainRamp]:
         yield step
         return
     yield StrainRamp(step.start_s, step.ramp_s * to_contact, step.change * to_contact)
-    rest = 1 - to_contact
-    yield StrainRamp(step.start_s + step.ramp_s * to_contact, step.ramp_s * rest, step.change * rest)
+    loaded_share = 1 - to_contact
+    yield StrainRamp(step.start_s + step.ramp_s * to_contact, step.ramp_s * loaded_share, step.change * loaded_share)

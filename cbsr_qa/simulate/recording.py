@@ -20,7 +20,7 @@ from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.system.clock import VirtualClock
 
-#: Addresses of a head's movements start at this multiple of its number less one.
+#: Number of addresses of a head's movements; those of head n start at n − 1 times this number.
 HEAD_BLOCK: Final = 1 << 24
 
 
@@ -127,8 +127,8 @@ def head_path(plan: ScenePlan, thickness_mm: float, time_s: Array) -> tuple[Samp
         corners += [(at_s, *load.place_mm, z_mm) for at_s, z_mm in stroke_points(times, depth_mm, plan.motion)]
     at_s, *axes = np.array(corners).T
     return tuple(
-        SampleBlock(name, "mm", time_s, np.interp(time_s, at_s, along))
-        for name, along in zip(("x", "y", "z"), axes, strict=True)
+        SampleBlock(name, "mm", time_s, np.interp(time_s, at_s, axis_mm))
+        for name, axis_mm in zip(("x", "y", "z"), axes, strict=True)
     )
 
 

@@ -22,7 +22,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.system.clock import Clock
 
-#: Separates these keys from any other use of the same hash.
+#: Prefix that separates these keys from any other use of the same hash.
 _PURPOSE: Final = b"cbsr-qa stream"
 _INDICES: Final = 1 << 64
 

@@ -190,5 +190,5 @@ class _Moving:
         ends = np.concatenate([self._from_s, self._to_s])
         self._since_s = float(ends[ends <= time_s].max(initial=-np.inf))
         self._until_s = float(ends[ends >= time_s].min(initial=np.inf))
-        at = np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s))
-        self._found = [presses[k] for k in at.tolist()]
+        active = np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s))
+        self._found = [presses[k] for k in active.tolist()]

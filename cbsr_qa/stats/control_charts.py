@@ -248,11 +248,11 @@ def _check_deviation(deviation: float, what: str) -> None:
 def _apply_rules(
     name: str, points: Array, centre: float, error: float, deviation: float, count: int, rules: Collection[Rule]
 ) -> Chart:
-    found = nelson((points - centre) / error, rules)
-    pairs = [(int(index), rule) for rule, flags in found.items() for index in np.flatnonzero(flags)]
+    flags_by_rule = nelson((points - centre) / error, rules)
+    pairs = [(int(index), rule) for rule, flags in flags_by_rule.items() for index in np.flatnonzero(flags)]
     signals = tuple(Signal(rule.value, index, _phase(index, count)) for index, rule in sorted(pairs))
-    half = np.full(len(points), 3 * error)
-    return Chart(name, points, centre, centre - half, centre + half, deviation, count, signals)
+    half_width = np.full(len(points), 3 * error)
+    return Chart(name, points, centre, centre - half_width, centre + half_width, deviation, count, signals)
 
 
 def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -> Chart:

@@ -82,9 +82,9 @@ class Crossing:
     def independent_columns(self) -> NDArray[np.bool_]:
         """Return which columns of groups and stations the model matrix has."""
         firsts = np.unique(self.station_parts, return_index=True)[1]
-        kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
-        kept[len(self.groups) + firsts] = False
-        return kept
+        is_kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
+        is_kept[len(self.groups) + firsts] = False
+        return is_kept
 
     def same_part(self, first: str, second: str) -> None:
         """Refuse to compare groups that no stations connect.
@@ -143,8 +143,8 @@ def _code_names(column: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
 
 
 def _drop_unused(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], IntArray]:
-    used, inverse = np.unique(codes, return_inverse=True)
-    return tuple(names[index] for index in used), inverse.astype(np.intp)
+    used_codes, inverse = np.unique(codes, return_inverse=True)
+    return tuple(names[index] for index in used_codes), inverse.astype(np.intp)
 
 
 def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:
@@ -162,5 +162,5 @@ def _names_in_part(names: tuple[str, ...], parts: IntArray, part: int) -> tuple[
 
 
 def _list_names(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:5])
-    return f"{shown} and {len(names) - 5} more" if len(names) > 5 else shown
+    first_names = ", ".join(names[:5])
+    return f"{first_names} and {len(names) - 5} more" if len(names) > 5 else first_names

@@ -17,7 +17,7 @@ from cbsr_qa.stats.intervals import count_needed, spacings_outside
 from cbsr_qa.stats.variance_components import Components, components, telling_runs
 from cbsr_qa.stats.worst_value import worst_of
 
-#: Values with a larger modified z-score are named as outliers (Iglewicz & Hoaglin 1993).
+#: Modified z-score above which values are named as outliers (Iglewicz & Hoaglin 1993).
 FAR_OUT = 3.5
 _NORMAL_MAD = 0.6745  #: median absolute deviation of a standard normal number
 _MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
@@ -71,8 +71,8 @@ def far_out(values: Sequence[float]) -> tuple[int, ...]:
 
 #: Number of sensors below which no distribution is tested.
 FEWEST_SENSORS = 3
-#: A normal or log-normal distribution is rejected below this p-value: at 0.05 one of a recipe's dozen limits would be
-#: refused for every second lot that is normal.
+#: p-value below which a normal or log-normal distribution is rejected: at 0.05 one of a recipe's dozen limits would
+#: be refused for every second lot that is normal.
 LEVEL = 0.01
 _LARGEST = 1e150
 _LEAST_SPREAD = 1e-12  #: of the mean; less is rounding
@@ -216,9 +216,9 @@ def _nothing_to_go_by(runs: Runs) -> str:
         return f"values beyond {_LARGEST:g} are too large to be squared"
     if 0 < largest < 1 / _LARGEST:
         return f"values below {1 / _LARGEST:g} are too small to be squared"
-    parts = components(runs)
-    if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
-        return f"every sensor has {parts.mean:.6g}: limits cannot be derived without spread"
+    variances = components(runs)
+    if variances.between**0.5 <= _LEAST_SPREAD * abs(variances.mean):
+        return f"every sensor has {variances.mean:.6g}: limits cannot be derived without spread"
     return ""
 
 
@@ -242,8 +242,8 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
     if not candidates:
         return _order_statistic_bound(runs, ask, sign, fits)
     *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
-    others = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
-    return _round_bound(replace(widest, tests=tuple(fits), narrower=others), runs)
+    narrower_bounds = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
+    return _round_bound(replace(widest, tests=tuple(fits), narrower=narrower_bounds), runs)
 
 
 def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float:
@@ -257,13 +257,13 @@ def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float
 def _order_statistic_bound(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
     """Return the order statistic that bounds the share for any distribution; the worst run of a sensor counts."""
     worst = sorted(max(sign * x for x in sensor) for sensor in runs)
-    outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
-    if outside < ask.sides:
-        needed = count_needed(ask.coverage, ask.confidence, ask.sides)
-        return f"{_why_ordered(fits)}distribution-free limits need {needed} sensors; there are {len(worst)}"
-    scale, limit = Scale(sign, False), sign * worst[-(outside // ask.sides)]
-    parts = components([[sign * x for x in sensor] for sensor in runs])
-    return _round_bound(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
+    spacings = spacings_outside(len(worst), ask.coverage, ask.confidence)
+    if spacings < ask.sides:
+        sensor_count = count_needed(ask.coverage, ask.confidence, ask.sides)
+        return f"{_why_ordered(fits)}distribution-free limits need {sensor_count} sensors; there are {len(worst)}"
+    scale, limit = Scale(sign, False), sign * worst[-(spacings // ask.sides)]
+    variances = components([[sign * x for x in sensor] for sensor in runs])
+    return _round_bound(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, variances, None), runs)
 
 
 def _why_ordered(fits: list[Fit]) -> str:
@@ -289,8 +289,8 @@ def outward(limit: float, mean: float, sign: int) -> float:
     decimals = min(2 - floor(log10(distance)), _MOST_DECIMALS)
     step = 10.0**decimals
     steps = limit * step
-    whole = ceil(steps - 1e-9) if sign > 0 else floor(steps + 1e-9)
-    return round(whole / step, max(decimals, 0))
+    whole_steps = ceil(steps - 1e-9) if sign > 0 else floor(steps + 1e-9)
+    return round(whole_steps / step, max(decimals, 0))
 
 
 def _all_far_out(smallest: Runs, largest: Runs, bounds: Sequence[Bound | str | None]) -> tuple[int, ...]:

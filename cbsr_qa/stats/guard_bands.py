@@ -56,8 +56,8 @@ def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: fl
 
 
 def _panel(low: float, high: float) -> tuple[Array, Array]:
-    half = 0.5 * (high - low)
-    return low + half * (_NODES + 1), half * _WEIGHTS
+    half_width = 0.5 * (high - low)
+    return low + half_width * (_NODES + 1), half_width * _WEIGHTS
 
 
 #: An expanded uncertainty has the coverage of ± 2 standard deviations of a normal distribution.
@@ -117,13 +117,13 @@ def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     """
     if bound.distribution is Distribution.ANY:
         return None
-    parts, scale = bound.parts, bound.scale
+    variances, scale = bound.parts, bound.scale
     u = uncertainty.standard
     if uncertainty.freedom is not None:
-        u = sqrt(parts.within or 0.0)
+        u = sqrt(variances.within or 0.0)
     elif scale.logarithmic:
-        u /= exp(scale.sign * parts.mean)
-    true_variance = parts.deviation**2 - u**2
+        u /= exp(scale.sign * variances.mean)
+    true_variance = variances.deviation**2 - u**2
     guarded_limit = bound.limit - scale.sign * guard
     if (
         not u
@@ -134,6 +134,6 @@ def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     true_deviation, shape, limit = sqrt(true_variance), worst_of(bound.independent_values), scale.forward(bound.limit)
 
     def density(y: Array) -> Array:
-        return shape.density((y - parts.mean) / true_deviation) / true_deviation
+        return shape.density((y - variances.mean) / true_deviation) / true_deviation
 
     return risks_of_bound(density, limit, limit - scale.forward(guarded_limit), u)

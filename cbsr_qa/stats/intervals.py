@@ -119,8 +119,8 @@ def _content_probability(k: float, coverage: float, mean_size: float, freedom: f
     """Probability that mean ± k s holds the share: E over the mean's error z/√n of P(χ²_f ≥ f r(z)² / k²)."""
     z = 0.5 * _FAR * (_NODES_TOLERANCE + 1)
     radius2 = stats.ncx2.ppf(coverage, 1, z**2 / mean_size)
-    held = stats.chi2.sf(freedom * radius2 / k**2, freedom)
-    return float(_FAR * np.sum(_WEIGHTS * stats.norm.pdf(z) * held))
+    chance = stats.chi2.sf(freedom * radius2 / k**2, freedom)
+    return float(_FAR * np.sum(_WEIGHTS * stats.norm.pdf(z) * chance))
 
 
 def spacings_outside(count: int, coverage: float, confidence: float) -> int:
@@ -142,7 +142,7 @@ def count_needed(coverage: float, confidence: float, sides: int) -> int:
     return fewer if enough(fewer) else smallest(enough, fewer, _MOST_NEEDED, beyond)
 
 
-#: No interval with fewer: two values alone would have to determine the spread.
+#: Smallest number of values for an interval: two values alone would have to determine the spread.
 FEWEST_VALUES = 3
 
 
@@ -180,7 +180,7 @@ def predict(values: Sequence[float], *, confidence: float) -> Prediction:
     return Prediction(count, mean, deviation, mean - half_width, mean + half_width)
 
 
-#: Smaller tails are zero: their quantiles are not finite.
+#: Smallest tail with a finite quantile; smaller tails are zero.
 _LEAST_TAIL = 1e-300
 
 
@@ -213,13 +213,13 @@ class Judged(ABC):
             The confidence is not between 0 and 1.
         """
         share(confidence, "confidence")
-        half = self._half((1 - confidence) / 2)
-        return Interval(self.value - half, self.value + half, confidence)
+        half_width = self._half((1 - confidence) / 2)
+        return Interval(self.value - half_width, self.value + half_width, confidence)
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
         """Return the fields for documents."""
-        inside = self.interval(confidence)
-        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
+        interval = self.interval(confidence)
+        return Estimate(self.value, self.standard_error, interval.low, interval.high, self.p_value())
 
 
 @dataclass(frozen=True, slots=True)

@@ -84,8 +84,8 @@ def _last(flags: Flags, window: int) -> NDArray[np.intp]:
 
 def _lasting(flags: Flags, window: int) -> Flags:
     """Return where all of the last ``window`` flags are set."""
-    whole: Flags = _last(flags, window) == window
-    return whole
+    is_lasting: Flags = _last(flags, window) == window
+    return is_lasting
 
 
 def _steps(z: Array) -> Array:

@@ -151,8 +151,12 @@ def capability_of_extremes(
         _nearer(low_spread, high_spread, low_mean - lower, upper - high_mean, confidence)
         for low_spread, high_spread in pairs
     )
-    within, overall = ((low_spread.deviation + high_spread.deviation) / 2 for low_spread, high_spread in pairs)
-    return Capability(len(value_ranges), (low_mean + high_mean) / 2, within, overall, cp, cpk, pp, ppk)
+    within_deviation, overall_deviation = (
+        (low_spread.deviation + high_spread.deviation) / 2 for low_spread, high_spread in pairs
+    )
+    return Capability(
+        len(value_ranges), (low_mean + high_mean) / 2, within_deviation, overall_deviation, cp, cpk, pp, ppk
+    )
 
 
 def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
@@ -190,15 +194,15 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
         low, high = _exact(value, spread, confidence)
         return Index(value, low, high, "noncentral t, exact for normal values")
     z = float(stats.norm.isf((1 - confidence) / 2))
-    half = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
-    return Index(value, value - half, value + half, "Bissell 1990, for normal values")
+    half_width = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
+    return Index(value, value - half_width, value + half_width, "Bissell 1990, for normal values")
 
 
 def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
     """Return the lesser of both sides' indices; its interval ends are the lesser of the joint intervals' ends."""
-    each = 1 - (1 - confidence) / 2
+    side_confidence = 1 - (1 - confidence) / 2
     values = [below / (3 * low.deviation), above / (3 * high.deviation)]
-    ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
+    ends = [_exact(value, spread, side_confidence) for value, spread in zip(values, (low, high), strict=True)]
     low_end, high_end = (min(side) for side in zip(*ends, strict=True))
     return Index(min(values), low_end, high_end, "noncentral t of both sides, Bonferroni, for normal values")
 

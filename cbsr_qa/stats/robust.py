@@ -58,9 +58,9 @@ def _select_by_counting(x: Array, y: Array, rank: int) -> float:
     low, high = np.nextafter(x[0] - y[-1], -np.inf), x[-1] - y[0]
     low_counts, high_counts = np.zeros(len(y), dtype=np.intp), np.full(len(y), len(x), dtype=np.intp)
     bisect = False
-    while (between := int((high_counts - low_counts).sum())) > _FEW_MADE:
-        below = int(low_counts.sum())
-        share = 0.5 if bisect else min(max((rank - below) / between, 0.01), 0.99)
+    while (count_between := int((high_counts - low_counts).sum())) > _FEW_MADE:
+        count_below = int(low_counts.sum())
+        share = 0.5 if bisect else min(max((rank - count_below) / count_between, 0.01), 0.99)
         middle = low + share * (high - low)
         if not low < middle < high:
             return float(high)
@@ -75,14 +75,14 @@ def _select_by_counting(x: Array, y: Array, rank: int) -> float:
 
 def _differences_between(x: Array, y: Array, first: IntArray, last: IntArray) -> Array:
     """Differences of each y and the sorted x from ``first`` up to ``last``."""
-    many = last - first
-    which = np.repeat(np.arange(len(y)), many)
-    place = np.arange(len(which)) - np.repeat(np.cumsum(many) - many, many) + np.repeat(first, many)
-    differences: Array = x[place] - y[which]
+    counts = last - first
+    y_indices = np.repeat(np.arange(len(y)), counts)
+    place = np.arange(len(y_indices)) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
+    differences: Array = x[place] - y[y_indices]
     return differences
 
 
-#: Without ties and up to this many pairs the distribution of U is counted; beyond, it is normal to three digits.
+#: Largest number of pairs for which the distribution of U is counted, without ties; beyond, it is normal to 3 digits.
 MOST_COUNTED = 2500
 
 

@@ -94,8 +94,8 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=float)
     if array.ndim != 1 or len(array) < least:
-        found = f"{len(array)} value{'s' * (len(array) != 1)}" if array.ndim == 1 else f"an array {array.shape}"
-        raise NumericsError(f"{what}: {found} instead of at least {least}")
+        shape_words = f"{len(array)} value{'s' * (len(array) != 1)}" if array.ndim == 1 else f"an array {array.shape}"
+        raise NumericsError(f"{what}: {shape_words} instead of at least {least}")
     bad = np.flatnonzero(~np.isfinite(array))
     if len(bad):
         raise NumericsError(

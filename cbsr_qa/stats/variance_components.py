@@ -11,8 +11,8 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import factor_of_quantile, two_sided_factor
 from cbsr_qa.stats.worst_value import skewness_ratio, worst_of
 
-#: Fewer repeated runs hardly determine how runs of one sensor differ: allowing for their uncertainty would widen
-#: limits (by half for one repeat) more than the repeats help.
+#: Smallest number of repeated runs that is used; fewer hardly determine how runs of one sensor differ: allowing for
+#: their uncertainty would widen limits (by half for one repeat) more than the repeats help.
 FEWEST_REPEATS = 4
 
 _DRAWS = 20_000
@@ -73,8 +73,8 @@ class Components:
         offset, deviation = self._draws()
         away = np.abs(offset) / deviation
         nodes = np.linspace(0.0, float(away.max()), _NODES)  # smooth in between, and slow to compute for every draw
-        half = deviation * np.interp(away, nodes, np.sqrt(stats.ncx2.ppf(coverage, 1, nodes**2)))
-        return float(np.quantile(half, confidence)) / self.deviation
+        half_widths = deviation * np.interp(away, nodes, np.sqrt(stats.ncx2.ppf(coverage, 1, nodes**2)))
+        return float(np.quantile(half_widths, confidence)) / self.deviation
 
     def _draws(self) -> tuple[Array, Array]:
         """Fiducial draws of the mean's error and of the deviation; the seed is fixed, so that a lot has one limit."""

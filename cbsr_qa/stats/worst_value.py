@@ -71,8 +71,8 @@ def skewness_ratio(coverage: float, confidence: float, values: int, sensors: int
     shape, drawn = worst_of(values), min(sensors, _MOST_DRAWN)
     random = np.random.default_rng(20090101)
     pivots = np.concatenate([_pivots(random, shape, coverage, drawn) for _ in range(10)])
-    needed = float(np.quantile(pivots, confidence))
-    return max(needed / factor_of_quantile(shape.quantile(coverage), confidence, drawn, drawn - 1), 1.0)
+    needed_factor = float(np.quantile(pivots, confidence))
+    return max(needed_factor / factor_of_quantile(shape.quantile(coverage), confidence, drawn, drawn - 1), 1.0)
 
 
 def _pivots(random: np.random.Generator, shape: WorstOf, coverage: float, sensors: int) -> Array:

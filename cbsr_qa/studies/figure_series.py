@@ -107,8 +107,8 @@ def _has_limit(figure: RunFigure) -> bool:
 
 def _merge_units(first: RunFigure, second: RunFigure) -> RunFigure:
     units = tuple(sorted({*(first.units or (first.unit,)), second.unit}))
-    most = max(first, second, key=lambda figure: figure.places)
-    return replace(most, value=None, places=first.places + second.places, units=units)
+    larger = max(first, second, key=lambda figure: figure.places)
+    return replace(larger, value=None, places=first.places + second.places, units=units)
 
 
 def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFigure]) -> Series:

@@ -49,7 +49,7 @@ _IN_GAUGE_STUDY: Final = 6  # of batch 41, each twice on every station
 _AT_HOME: Final = 12  # share of them on the batch's own station: stations and batches are strongly confounded
 _EFFECT: Final = 1.5  # in deviations between sensors: difference of batch 43, and of station B
 
-#: Stated in the database, on pages and in reports.
+#: Statement in the database, on pages and in reports.
 SAID: Final = (
     "figures are drawn from a statistical model of a fleet: nothing was measured, no sheet and no frame was simulated"
 )

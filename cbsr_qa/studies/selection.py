@@ -37,8 +37,8 @@ _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
 def nearest(name: str, known: Collection[str], there_are: str) -> str:
     """Remedy for an unknown name: the nearest one, and the known ones."""
-    every = f"{there_are}: {list_names(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
-    return f"{did_you_mean(name, known)} {every}".lstrip()
+    all_names = f"{there_are}: {list_names(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
+    return f"{did_you_mean(name, known)} {all_names}".lstrip()
 
 
 def missing_metric_error(name: str, known: Collection[str], at: str = "") -> RefusedError:

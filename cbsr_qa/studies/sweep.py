@@ -15,14 +15,14 @@ from cbsr_qa.system.foreign import LARGEST_FILE, read_foreign
 from cbsr_qa.system.json_text import parse_json
 from cbsr_qa.system.workers import delay_interrupts, worker_pool
 
-#: Called with the numbers of pieces done and in total, and the last piece.
+#: Function called with the numbers of pieces done and in total, and the last piece.
 Tell = Callable[[int, int, str], None]
 Documents = list[dict[str, Any]]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 _START: Final = b'{"key": "'
-#: A Ctrl-C that comes just as a wait begins is heard when the wait ends.
+#: Longest wait [s]: a Ctrl-C that comes just as a wait begins has its effect when the wait ends.
 _HEARD_S: Final = 1.0
 _BEGIN_AGAIN: Final = "move it away, or begin again with --fresh, which removes it"
 
@@ -146,9 +146,9 @@ def run_jobs(
     with worker_pool(processes) as pool:
         with delay_interrupts():
             futures = {pool.submit(run, job): job for job in jobs}
-        left = set(futures)
-        while left:
-            done, left = wait(left, timeout=_HEARD_S, return_when=FIRST_COMPLETED)
+        pending = set(futures)
+        while pending:
+            done, pending = wait(pending, timeout=_HEARD_S, return_when=FIRST_COMPLETED)
             for future in done:
                 if future.cancelled():
                     continue

@@ -15,7 +15,7 @@ from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.elements import FiniteElements
 
-#: A larger share covers all of the element.
+#: Share above which a load covers all of the element.
 WHOLE: Final = 1 - 1e-12
 _LEVELS: Final = 5  # integration points, for the position of the covered part in a cut element
 _MARGIN: Final = 0.5  # how far a spread may leave [0, 1], as the best line through a step does
@@ -135,13 +135,13 @@ def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
 def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
     """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3)."""
     levels, weights = np.polynomial.legendre.leggauss(_LEVELS)
-    parts = _corners((levels + 1) / 2)
-    small = np.einsum("ipcb,kbx->kipcx", parts, corners)
+    triangles = _corners((levels + 1) / 2)
+    small = np.einsum("ipcb,kbx->kipcx", triangles, corners)
     covered = overlap_mm2(footprint, small.reshape(-1, 3, 2)).reshape(-1, 3, _LEVELS)
     moments = covered @ weights
-    whole = np.maximum(moments.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    total = np.maximum(moments.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     # ∫ λ_i λ_j over the element is (1 + δ_ij)/12 of its area, so that slopes are twelve times the moments.
-    slopes: Array = 12 * share[:, None] * (moments / whole - 1 / 3)
+    slopes: Array = 12 * share[:, None] * (moments / total - 1 / 3)
     return slopes
 
 
@@ -163,8 +163,8 @@ def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Arra
         ahead, behind = (_distance_outside(footprint, places + s * step[..., None] * direction) for s in (1, -1))
         gradient[..., axis] = (ahead - behind) / (2 * step)
     length = np.hypot(gradient[..., 0], gradient[..., 1])
-    known = length > 0.5  # less at a ridge, where no outline is nearest
-    return np.where(known[..., None], gradient / np.where(known, length, 1)[..., None], 0.0)
+    is_known = length > 0.5  # less at a ridge, where no outline is nearest
+    return np.where(is_known[..., None], gradient / np.where(is_known, length, 1)[..., None], 0.0)
 
 
 def _distance_outside(footprint: Footprint, places: Array) -> Array:
@@ -216,11 +216,13 @@ class NestedCover:
                 f" {self.levels.max():.3g} times as hard as on average",
                 remedy="press less deep, or use a head with a more even pressure",
             )
-        along = (self.layers @ raised[..., None])[..., 0]
-        less = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance
-        across = less / (1 - less)
-        turned = (across - along)[..., None, None] * self.across[..., :, None] * self.across[..., None, :]
-        change: Array = along[..., None, None] * np.eye(2) + turned
+        along_change = (self.layers @ raised[..., None])[..., 0]
+        resistance_drop = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance
+        across_change = resistance_drop / (1 - resistance_drop)
+        turned = (
+            (across_change - along_change)[..., None, None] * self.across[..., :, None] * self.across[..., None, :]
+        )
+        change: Array = along_change[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
 
@@ -257,8 +259,8 @@ def cover_by_nested_outlines(
 
 def _layers(spread: Array) -> Array:
     """Shares of the layers (k, q, j + 1) from those within each outline (j, k, q)."""
-    within = np.concatenate([np.ones_like(spread[:1]), spread, np.zeros_like(spread[:1])])
-    layers: Array = np.moveaxis(within[:-1] - within[1:], 0, -1)
+    nested = np.concatenate([np.ones_like(spread[:1]), spread, np.zeros_like(spread[:1])])
+    layers: Array = np.moveaxis(nested[:-1] - nested[1:], 0, -1)
     return np.ascontiguousarray(layers)
 
 
@@ -267,5 +269,5 @@ def _limit_sum(line: Array, share: Array) -> Array:
     with np.errstate(divide="ignore"):
         above, below = line.max(axis=1), -line.min(axis=1)
         room = np.minimum((1 + _MARGIN - share) / above, (share + _MARGIN) / below)
-    held: Array = np.minimum(room, 1.0)[:, None] * line
-    return held
+    limited: Array = np.minimum(room, 1.0)[:, None] * line
+    return limited

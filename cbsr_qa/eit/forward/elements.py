@@ -37,8 +37,8 @@ class Shapes:
 
 def _linear() -> Shapes:
     points = np.full((1, 3), 1 / 3)
-    along, weights = _gauss(2)
-    values = np.column_stack([1 - along, along])
+    nodes, weights = _gauss(2)
+    values = np.column_stack([1 - nodes, nodes])
     return Shapes(points, _free(np.eye(3)[None]), weights, values, np.tile([-1.0, 1.0], (2, 1)))
 
 
@@ -65,7 +65,7 @@ def _gauss(count: int) -> tuple[Array, Array]:
     return (points + 1) / 2, weights / 2
 
 
-#: by order
+#: Shapes by the order of the elements.
 SHAPES: Final = {1: _linear(), 2: _quadratic()}
 
 
@@ -191,8 +191,8 @@ def reaches_mm(mesh: Mesh) -> Array:
 def _outer(first: Array, second: Array) -> Array:
     count, q, k, _ = first.shape
     flat = (part.transpose(0, 2, 1, 3).reshape(count, k, 2 * q) for part in (first, second))
-    one, other = flat
-    return one @ other.swapaxes(1, 2)
+    first_flat, second_flat = flat
+    return first_flat @ second_flat.swapaxes(1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

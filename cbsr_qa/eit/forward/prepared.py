@@ -111,8 +111,8 @@ class PreparedSheet:
         self.contacts = contacts
         rows, columns, owner, values = _entries(elements, contacts)
         sources = len(elements.cells) + len(contacts.nodes)
-        held = elements.cells[0, 0]  # arbitrary values: only the pattern of entries matters
-        places = np.append(rows, held), np.append(columns, held)
+        fixed_node = elements.cells[0, 0]  # arbitrary values: only the pattern of entries matters
+        places = np.append(rows, fixed_node), np.append(columns, fixed_node)
         matrix = sparse.csc_matrix((np.append(values, 1.0), places), shape=(elements.count,) * 2)
         #: place of each node in the order of elimination, (n,)
         self.place: Indices = splu(matrix, permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c.astype(np.int64)
@@ -138,9 +138,9 @@ class PreparedSheet:
         cells = self.elements.cells
         touching = []
         for nodes in self.contacts.nodes:
-            own = np.zeros(self.elements.count, dtype=np.bool_)
-            own[nodes] = True
-            touching.append(np.flatnonzero(own[cells].any(axis=1)))
+            is_touched = np.zeros(self.elements.count, dtype=np.bool_)
+            is_touched[nodes] = True
+            touching.append(np.flatnonzero(is_touched[cells].any(axis=1)))
         return tuple(touching)
 
     def factorise(self, conductance: Array, contact_impedance: Array) -> "Factors":
@@ -148,8 +148,8 @@ class PreparedSheet:
         even, uneven = _split(conductance)
         values = self._scale @ np.concatenate([even, 1 / contact_impedance])
         if uneven.size:
-            rest = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
-            change = self.elements.directional_stiffness(uneven, rest)
+            directional = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
+            change = self.elements.directional_stiffness(uneven, directional)
             values += np.bincount(self._slot[uneven].ravel(), change.ravel(), minlength=len(values))
         shape = (self.elements.count,) * 2
         conductors = sparse.csc_matrix((values.copy(), self._row, self._start), shape=shape)

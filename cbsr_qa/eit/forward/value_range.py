@@ -14,11 +14,11 @@ import numpy as np
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
-#: z γ/|E| of an electrode with the conductance next to it.
+#: Allowed range of z γ/|E| of an electrode with the conductance next to it.
 CONTACT_RANGE: Final = (1e-9, 1e9)
 #: The same with the smallest and the largest conductance of the sheet, which may lie in the current's path.
 FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
-#: Largest over smallest conductance.
+#: Largest allowed ratio of the largest to the smallest conductance.
 MOST_CONTRAST: Final = 1e8
 #: Ratio of conductances, including contacts, above which potentials are refined.
 REFINED_ABOVE: Final = 1e2
@@ -42,9 +42,9 @@ def least_and_most(conductance: Array) -> tuple[Array, Array]:
     if conductance.ndim == 1:
         return conductance, conductance
     xx, xy, yy = conductance[..., 0, 0], conductance[..., 0, 1], conductance[..., 1, 1]
-    most = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
-    least = (xx * yy - xy * xy) / most  # the determinant is the product of both
-    return least.min(axis=1), most.max(axis=1)
+    largest = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    smallest = (xx * yy - xy * xy) / largest  # the determinant is the product of both
+    return smallest.min(axis=1), largest.max(axis=1)
 
 
 def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside: tuple[Indices, ...]) -> bool:
@@ -67,21 +67,21 @@ def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside:
         Conductances further apart than :data:`MOST_CONTRAST`, naming the two elements; or a contact out of
         :data:`CONTACT_RANGE`, naming the first electrode, its ratio z γ/|E| and what is allowed.
     """
-    least, most = least_and_most(conductance)
-    low, high = int(least.argmin()), int(most.argmax())
-    if most[high] / MOST_CONTRAST > least[low] * _ROUNDING:
+    least, largest = least_and_most(conductance)
+    low, high = int(least.argmin()), int(largest.argmax())
+    if largest[high] / MOST_CONTRAST > least[low] * _ROUNDING:
         raise ValueRangeError(
-            f"conductance {high} is {most[high]:g} S and conductance {low} is {least[low]:g} S, a contrast above"
+            f"conductance {high} is {largest[high]:g} S and conductance {low} is {least[low]:g} S, a contrast above"
             f" {MOST_CONTRAST:g}: rounding would decide the readings",
             remedy=f"bring conductances to within a factor of {MOST_CONTRAST:g} of each other",
         )
-    best, worst = most.max(), least.min()
+    best, worst = largest.max(), least.min()
     if np.isinf(lengths_mm).any():
         return bool(best > REFINED_ABOVE * worst)
     length = impedance / lengths_mm
     neighbour_extremes = (
         np.array([least[neighbours].min() for neighbours in beside]),
-        np.array([most[neighbours].max() for neighbours in beside]),
+        np.array([largest[neighbours].max() for neighbours in beside]),
     )
     for conductance_name, (lowest, highest), allowed in (
         ("the conductance next to it", neighbour_extremes, CONTACT_RANGE),

@@ -151,17 +151,17 @@ class _System:
     @classmethod
     def _regular(cls, white: Array, prior: Prior, analysis: Array, free: Array, free_analysis: Array) -> "_System":
         columns = white.T
-        half = None if prior.half is None else prior.half(columns)
-        return cls(white, prior.covariance(columns), half, analysis, free, free_analysis)
+        half_columns = None if prior.half is None else prior.half(columns)
+        return cls(white, prior.covariance(columns), half_columns, analysis, free, free_analysis)
 
     @classmethod
     def _eliminate_free(cls, white: Array, prior: Prior, seen: Array, free: Array, root: Array) -> "_System":
         complete, triangle = linalg.qr(seen)
         width = free.shape[1]
         triangle = triangle[:width]
-        explained, rest = complete[:, :width], complete[:, width:]
+        explained, complement = complete[:, :width], complete[:, width:]
         free = linalg.solve_triangular(triangle, free.T, trans="T").T  # so that its coefficients are Q₁ᵀ of readings
-        system = cls._regular(rest.T @ white, prior, rest.T * root, free, explained.T * root)
+        system = cls._regular(complement.T @ white, prior, complement.T * root, free, explained.T * root)
         back = system.back - free @ (explained.T @ (white @ system.back))
         return replace(system, back=back)
 

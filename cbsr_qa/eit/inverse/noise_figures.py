@@ -72,12 +72,12 @@ def noise_figure(
     return level / float(np.sqrt(variance.mean())) * float(noise) / response
 
 
-#: Radius of the central target, of the sheet's: the 13 mm indenter on the 100 mm disc.
+#: Radius of the central target over the sheet's: the 13 mm indenter on the 100 mm disc.
 TARGET_RADIUS: Final = 0.13
-#: Its contrast for a noise figure, within the linear response.
+#: Contrast of that target for a noise figure, within the linear response.
 SMALL_CONTRAST: Final = 0.01
 
-#: Without measurements: a press as deep as the paper's, the noise of a good instrument [dB].
+#: Simulated evidence: contrast of a press as deep as the paper's, and noise of a good instrument [dB].
 CONTRAST: Final = 0.2
 NOISE_DB: Final = 60
 _FRAMES: Final = 32

@@ -208,9 +208,9 @@ class RidgeCurves:
 
 def choose_by_cross_validation(curves: RidgeCurves) -> float:
     """λ of the lowest GCV function; NumericsError if it has no minimum in the range searched."""
-    where = int(np.argmin(curves.cross_validation(curves.grid)))
+    minimum = int(np.argmin(curves.cross_validation(curves.grid)))
     return _refine_minimum(
-        curves, where, lambda s: float(np.log(curves.cross_validation(s))), "generalised cross-validation"
+        curves, minimum, lambda s: float(np.log(curves.cross_validation(s))), "generalised cross-validation"
     )
 
 
@@ -233,9 +233,9 @@ def choose_by_discrepancy(curves: RidgeCurves, level: float) -> float:
     """
     low, high = (float(curves.residual(end)) for end in (curves.grid[0], curves.grid[-1]))
     if not low < level < high:
-        what = "the readings do not exceed their noise" if level >= high else "there is almost no noise"
+        reason = "the readings do not exceed their noise" if level >= high else "there is almost no noise"
         raise NumericsError(
-            f"the discrepancy principle has no answer {_range(curves)}: {what} (residual {np.sqrt(low):.3g} to"
+            f"the discrepancy principle has no answer {_range(curves)}: {reason} (residual {np.sqrt(low):.3g} to"
             f" {np.sqrt(high):.3g}, noise {np.sqrt(max(level, 0.0)):.3g})",
             remedy=_REMEDY,
         )

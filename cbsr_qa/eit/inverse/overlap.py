@@ -107,9 +107,9 @@ def _clip(polygon: Array, start: Array, along: Array) -> Array:
     """Cut convex polygons (p, k, 2) left of a line: (p, k + 1, 2), where spare corners repeat the last."""
     relative = polygon - start[:, None]
     height = along[:, None, 0] * relative[..., 1] - along[:, None, 1] * relative[..., 0]
-    following, after = np.roll(polygon, -1, axis=1), np.roll(height, -1, axis=1)
-    crosses = (height >= 0) != (after >= 0)
-    share = np.where(crosses, height / np.where(crosses, height - after, 1), 0)
+    following, next_height = np.roll(polygon, -1, axis=1), np.roll(height, -1, axis=1)
+    crosses = (height >= 0) != (next_height >= 0)
+    share = np.where(crosses, height / np.where(crosses, height - next_height, 1), 0)
     crossing = polygon + share[..., None] * (following - polygon)
     pairs, corners = height.shape
     slots = np.stack([polygon, crossing], axis=2).reshape(pairs, 2 * corners, 2)

@@ -57,9 +57,9 @@ class PixelImaging:
     @property
     def inside(self) -> Mask:
         """Pixels that cover some of the sheet, (pixels, pixels)."""
-        inside = np.zeros(self.pixels * self.pixels, dtype=np.bool_)
-        inside[self.places] = True
-        return inside.reshape(self.pixels, self.pixels)
+        is_inside = np.zeros(self.pixels * self.pixels, dtype=np.bool_)
+        is_inside[self.places] = True
+        return is_inside.reshape(self.pixels, self.pixels)
 
     def image(self, changes: Array) -> Pixels:
         """Image one frame of scaled changes (m,): (pixels, pixels) float32, relative conductance change.
@@ -77,8 +77,8 @@ class PixelImaging:
         return image.reshape(self.pixels, self.pixels)
 
     def _unfit(self, changes: Array) -> RefusedError:
-        given = f"readings of shape {changes.shape} and type {changes.dtype}"
-        return RefusedError(f"{given} do not match {self.readings} used channels of real numbers")
+        description = f"readings of shape {changes.shape} and type {changes.dtype}"
+        return RefusedError(f"{description} do not match {self.readings} used channels of real numbers")
 
     def images(self, changes: Array) -> Pixels:
         """Image n frames (n, m), as in :meth:`image`: (n, pixels, pixels)."""

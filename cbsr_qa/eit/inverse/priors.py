@@ -95,9 +95,9 @@ def laplace(mesh: Mesh) -> Prior:
     )
 
     def covariance(columns: Array) -> Array:
-        held = np.zeros_like(columns, order="F")
-        held[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
-        return held
+        solution = np.zeros_like(columns, order="F")
+        solution[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
+        return solution
 
     def half(columns: Array) -> Array:
         product: Array = differences @ covariance(columns)

@@ -58,8 +58,8 @@ def _fields_at(model: ForwardModel, pieces: Pieces) -> Array:
         constant: Array = gradients[pieces.fine, 0]
         return constant
     corners = model.mesh.corners_mm[pieces.fine]
-    along = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    inner = np.linalg.solve(along, (pieces.centroids_mm - corners[:, 0])[..., None])[..., 0]
+    edge_vectors = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    inner = np.linalg.solve(edge_vectors, (pieces.centroids_mm - corners[:, 0])[..., None])[..., 0]
     barycentric = np.column_stack([1 - inner.sum(axis=1), inner])
     weights = barycentric @ np.linalg.inv(points)  # the gradient is linear, and known at three points
     fields: Array = np.einsum("pq,pqxl->pxl", weights, gradients[pieces.fine], optimize=True)
@@ -129,8 +129,8 @@ def imaging_problem(
 
 def find_masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
     """Electrodes with usable readings, (drives, measures) bool, none of which is used."""
-    usable, left = (_electrodes_involved(pattern, readings) for readings in (pattern.usable(), used))
-    return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
+    is_usable, is_left = (_electrodes_involved(pattern, readings) for readings in (pattern.usable(), used))
+    return tuple(int(electrode) for electrode in np.flatnonzero(is_usable & ~is_left))
 
 
 @lru_cache(maxsize=8)

@@ -104,7 +104,7 @@ def _groups(pattern: DrivePattern, used: Mask) -> tuple[Indices, Indices, Array]
     return group.astype(np.int64), first_readings.astype(np.int64), relative
 
 
-#: Fewer frames leave too few degrees of freedom to distinguish noisy readings from chance.
+#: Smallest number of frames; fewer leave too few degrees of freedom to distinguish noisy readings from chance.
 FEWEST_FRAMES: Final = 6
 
 _REMEDY: Final = 'or set analysis.noise_weighting = "equal" in the recipe'

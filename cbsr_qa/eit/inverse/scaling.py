@@ -75,9 +75,9 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
     _check_scale(scale)
     with np.errstate(over="ignore"):
         changed: Array = (_select_frames(voltages, problem) - _select_frame(reference, problem)) / scale
-    wrong = np.argwhere(~np.isfinite(changed))
-    if wrong.size:
-        frame, channel = wrong[0]
+    bad_entries = np.argwhere(~np.isfinite(changed))
+    if bad_entries.size:
+        frame, channel = bad_entries[0]
         raise NumericsError(
             f"the change of {reading_name(problem.used, channel)} of frame {frame} over the scale {scale:g} is too"
             " large for a number",

@@ -35,17 +35,19 @@ class Truncation:
         self._fold = ReadingFold.from_problem(problem)
         rows = self._fold.rows(problem.jacobian)
         spectrum = dual_spectrum(rows, problem.mesh.areas_mm2, self._fold.variance)
-        kept = np.flatnonzero(spectrum.values > _LEAST**2 * spectrum.values[-1])[::-1]
-        self._values = spectrum.values[kept]
-        self._spectrum = DualSpectrum(spectrum.basis[:, kept], self._values, spectrum.analysis[kept])
+        kept_components = np.flatnonzero(spectrum.values > _LEAST**2 * spectrum.values[-1])[::-1]
+        self._values = spectrum.values[kept_components]
+        self._spectrum = DualSpectrum(
+            spectrum.basis[:, kept_components], self._values, spectrum.analysis[kept_components]
+        )
         self._problem = problem
 
     @property
     def cuts(self) -> Indices:
         """Numbers of components that split no pair, rising."""
         roots = np.sqrt(self._values)
-        apart = np.append(roots[1:] < _PAIR * roots[:-1], True)
-        return np.flatnonzero(apart).astype(np.int64) + 1
+        is_cut = np.append(roots[1:] < _PAIR * roots[:-1], True)
+        return np.flatnonzero(is_cut).astype(np.int64) + 1
 
     @property
     def shown(self) -> Array:
@@ -87,9 +89,9 @@ class Truncation:
                 else f"{components} components split a pair of equal singular values",
                 remedy=f"keep {' or '.join(str(number) for number in sorted(near))}",
             )
-        kept = slice(None, components)
-        images = self._spectrum.basis[:, kept] / self._values[kept]
-        return self._fold.unfold(images @ self._spectrum.analysis[kept])
+        kept_components = slice(None, components)
+        images = self._spectrum.basis[:, kept_components] / self._values[kept_components]
+        return self._fold.unfold(images @ self._spectrum.analysis[kept_components])
 
     def noise_figures(self, values: Array) -> Array:
         """Noise figure (Adler et al. 2009) of each of some numbers of components."""

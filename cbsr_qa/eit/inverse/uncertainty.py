@@ -10,11 +10,11 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.problem import find_masked_electrodes
 
-#: Places further out than this, of the radius, are the electrodes' own neighbourhood.
+#: Share of the radius beyond which places are in the electrodes' own neighbourhood.
 _OUTERMOST: Final = 0.8
 _PLACES: Final = 150
-#: A place whose standard error grows by this is hardly seen: of a load so strong that all readings together place it
-#: within 1 mm.
+#: Factor by which the standard error of a place grows if it is hardly seen; all readings together would place the
+#: same load within 1 mm.
 _HARDLY: Final = 10.0
 
 

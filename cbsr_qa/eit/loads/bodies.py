@@ -146,11 +146,11 @@ class DeepTank:
         """Readings per unit current and resistivity, (drives, measures)."""
         order = np.arange(_ORDERS + 1)
         radial = np.zeros(_ORDERS + 1)
-        for mode, share, seen in zip(self._modes, self._share, self._seen, strict=True):
-            radial += share * seen * _radial(mode, np.ones(1))[0]
-        apart = self._angles[:, None] - self._angles
+        for mode, share, electrode_gain in zip(self._modes, self._share, self._seen, strict=True):
+            radial += share * electrode_gain * _radial(mode, np.ones(1))[0]
+        angles_apart = self._angles[:, None] - self._angles
         coefficients = self._weight**2 * np.pi * radial
-        impedance = np.einsum("m,ijm->ij", coefficients, np.cos(order * apart[..., None]))
+        impedance = np.einsum("m,ijm->ij", coefficients, np.cos(order * angles_apart[..., None]))
         drive, measure = self._pattern.drive_currents(), self._pattern.measure_matrix()
         readings: Array = drive.T @ impedance @ measure
         return readings
@@ -240,8 +240,8 @@ def _radial(mode: float, radii: Array) -> Array:
         return radii[:, None] ** order / np.maximum(order, 1)
     at_wall = _log_bessel(order, np.full(order.shape, mode))
     next_order = np.exp(_log_bessel(order + 1, np.full(order.shape, mode)) - at_wall)
-    inside = _log_bessel(order, mode * radii[:, None])
-    return np.exp(inside - at_wall) / (order + mode * next_order)
+    log_inside = _log_bessel(order, mode * radii[:, None])
+    return np.exp(log_inside - at_wall) / (order + mode * next_order)
 
 
 def _log_bessel(order: Indices, argument: Array) -> Array:

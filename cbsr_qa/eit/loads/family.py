@@ -17,7 +17,7 @@ from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
 from cbsr_qa.eit.loads.rims import InverseEntries, find_outer_nodes, own_rim
 
-#: Overlapping loads are treated as residues if all together are weaker than this, up to this number.
+#: Largest total strength and largest number of overlapping loads that are treated as residues.
 WEAK: Final = 2e-3
 _MOST_WEAK: Final = 8
 #: Terms of a series, and size of its last ones relative to its largest.
@@ -155,8 +155,8 @@ class Patch:
     def nbytes(self) -> int:
         """Memory beside its loads, mostly tables [bytes]."""
         tables = [self._own, *vars(self).get("_weak", ()), *([self.series.coefficients] if self.series else [])]
-        parts = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
-        return parts + sum(int(table.nbytes) for table in tables)
+        part_bytes = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
+        return part_bytes + sum(int(table.nbytes) for table in tables)
 
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].
@@ -166,9 +166,11 @@ class Patch:
         """
         if 1 < len(strengths) <= _MOST_WEAK and sum(map(abs, strengths)) <= WEAK:
             linear, quadratic = self._weak
-            given = np.asarray(strengths)
-            both = np.concatenate([given, np.outer(given, given)[np.triu_indices(len(given))]])
-            return np.tensordot(both, np.concatenate([linear, quadratic]), 1)
+            strength_array = np.asarray(strengths)
+            powers = np.concatenate(
+                [strength_array, np.outer(strength_array, strength_array)[np.triu_indices(len(strength_array))]]
+            )
+            return np.tensordot(powers, np.concatenate([linear, quadratic]), 1)
         return self._exact(strengths)
 
     @cached_property
@@ -190,5 +192,5 @@ class Patch:
         change = self._stacked(np.asarray(strengths))
         if not self._stacked.most(strengths) < _SAFE * self._least:
             check_change(self._model, self._elements, change)
-        seen = self._stack.rim_changes(self._matrices.assemble(change))[0]
-        return np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)
+        rim_change = self._stack.rim_changes(self._matrices.assemble(change))[0]
+        return np.linalg.solve(np.eye(len(rim_change)) + rim_change @ self._own, rim_change)

@@ -67,8 +67,8 @@ class LocalUpdate:
         changed = self._solve_change(elements, conductance_change, contact_impedance)
         if isinstance(changed, ForwardModel):
             return changed.voltages()
-        lost, own = changed  # separately: voltages of driven contacts cost the other readings no digits
-        return self._unchanged - self.model.readings(lost) + self.model.readings(own)
+        lost, own_change = changed  # separately: voltages of driven contacts cost the other readings no digits
+        return self._unchanged - self.model.readings(lost) + self.model.readings(own_change)
 
     def transfer_impedance(
         self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
@@ -77,8 +77,8 @@ class LocalUpdate:
         change = self._solve_change(elements, conductance_change, contact_impedance)
         if isinstance(change, ForwardModel):
             return change.transfer_impedance
-        lost, own = change
-        return self.model.transfer_impedance - lost + own
+        lost, own_change = change
+        return self.model.transfer_impedance - lost + own_change
 
     def _solve_change(
         self, elements: Indices, change: Array, contact_impedance: Array | None

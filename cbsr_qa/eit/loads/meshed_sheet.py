@@ -91,8 +91,8 @@ class MeshedSheet:
 
     def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
         """Fields of unit currents about places, as in :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
-        parts = [self._about(*part, orders) for part in _parts(place_mm, reach_mm)]
-        return np.concatenate([part.fields(self._fields) for part in parts])
+        poles = [self._about(*part, orders) for part in _parts(place_mm, reach_mm)]
+        return np.concatenate([part.fields(self._fields) for part in poles])
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
         """Expand about places.
@@ -197,6 +197,6 @@ def _owners(model: ForwardModel, edges: Indices) -> Indices:
     count = len(model.mesh.nodes_mm)
     keys = np.sort(edges, axis=1) @ np.array([count, 1])
     owner = np.full(len(edges), -1, dtype=np.int64)
-    for number, own in enumerate(model.mesh.electrode_edges):
-        owner[np.isin(keys, np.sort(own, axis=1) @ np.array([count, 1]))] = number
+    for number, electrode_edges in enumerate(model.mesh.electrode_edges):
+        owner[np.isin(keys, np.sort(electrode_edges, axis=1) @ np.array([count, 1]))] = number
     return owner

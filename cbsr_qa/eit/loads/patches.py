@@ -77,9 +77,9 @@ class PatchStack(Sized):
         """
         stiffness = self._assemble(change)
         currents = stiffness @ self._extension
-        inside = self._inside(self._base + stiffness[:, self._rim :])
-        seen: Array = currents[:, : self._rim] - inside.swapaxes(1, 2) @ currents[:, self._rim :]
-        return seen
+        inverse_inside = self._inside(self._base + stiffness[:, self._rim :])
+        rim_change: Array = currents[:, : self._rim] - inverse_inside.swapaxes(1, 2) @ currents[:, self._rim :]
+        return rim_change
 
     def _inside(self, lower: Array) -> Array:
         """Minus the potentials inside for each unit potential of a rim node: (g, i, b)."""
@@ -137,9 +137,9 @@ class Patches(Sized):
 
     @property
     def nbytes(self) -> int:
-        parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
+        part_bytes = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
         arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met, *self._linked]
-        return super().nbytes + parts + sum(array.nbytes for array in arrays)
+        return super().nbytes + part_bytes + sum(array.nbytes for array in arrays)
 
     def correction(self, change: Array, contact_change: Array | None) -> Array:
         """Decrease of the transfer impedance, (electrodes, electrodes) [V/A].

@@ -53,9 +53,9 @@ class PinnedDisc:
         self._scatter, self._driven = self._solve_pins()
 
     def _pole_count(self) -> int:
-        apart = np.abs(self._pins[:, None] - self._pins)
-        np.fill_diagonal(apart, np.inf)
-        ratio = self._rim / min(float(np.abs(self._images - self._pins).min()), float(apart.min()))
+        distance = np.abs(self._pins[:, None] - self._pins)
+        np.fill_diagonal(distance, np.inf)
+        ratio = self._rim / min(float(np.abs(self._images - self._pins).min()), float(distance.min()))
         if not (0 < ratio < 0.5 and (np.abs(self._pins) + self._rim < 1).all()):
             raise NumericsError(
                 f"pins of {2 * self._rim * self.radius_mm:g} mm do not lie inside the sheet, clear of each other"
@@ -146,17 +146,17 @@ class PinnedDisc:
         """
         count, order = len(self._pins), np.arange(1, self._poles + 1)
         strength = -(self._rim ** (2 * order)) * (1 - self._impedance * order) / (1 + self._impedance * order)
-        between, from_currents = self._pins_on_pins()
+        pin_coupling, from_currents = self._pins_on_pins()
         mirror = np.concatenate([np.tile(strength, count), -np.tile(strength, count)])[:, None]  # conjugates
-        scatter = np.linalg.solve(np.eye(len(mirror)) - mirror * between, np.diag(mirror[:, 0]))
+        scatter = np.linalg.solve(np.eye(len(mirror)) - mirror * pin_coupling, np.diag(mirror[:, 0]))
         signs = np.concatenate([np.tile(1 / order, count), -np.tile(1 / order, count)])
         return scatter * signs, scatter @ from_currents
 
     def _pins_on_pins(self) -> tuple[Array, Array]:
         """Fields about each pin of the others' poles and of all images, (2K, 2K), and of currents, (2K, pins)."""
-        apart = self._pins - self._pins[:, None]  # (about, of)
-        np.fill_diagonal(apart, np.inf)  # a pin is not in its own direct field
-        near = _powers(1 / apart, 2 * self._poles)
+        separation = self._pins - self._pins[:, None]  # (about, of)
+        np.fill_diagonal(separation, np.inf)  # a pin is not in its own direct field
+        near = _powers(1 / separation, 2 * self._poles)
         far = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
         poles = self._fields_of_poles(near, far, self._poles)
         logs = (near + far)[..., : self._poles].transpose(0, 2, 1)

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.eit.forward.model import ForwardModel
 
-#: Most nodes kept: 2048² entries are 34 MB, and suffice for some seventy heads on a mesh of 2.5 mm.
+#: Largest number of nodes kept: 2048² entries are 34 MB, and suffice for some seventy heads on a mesh of 2.5 mm.
 MOST_NODES: Final = 2048
 _AT_ONCE: Final = 16  # nodes solved for together: few enough for their full columns to stay in the cache
 
@@ -78,9 +78,9 @@ class InverseEntries:
 
     def _keep(self, nodes: Indices, columns: Array) -> None:
         """Store the entries of columns between all nodes known so far."""
-        count, here = len(self._known), self._place[nodes]
-        self._entries[:count, here] = columns[self._known]
-        self._entries[here, :count] = columns[self._known].T
+        count, places = len(self._known), self._place[nodes]
+        self._entries[:count, places] = columns[self._known]
+        self._entries[places, :count] = columns[self._known].T
 
     def _make_room(self, used: int, needed: int) -> None:
         if needed <= len(self._entries):

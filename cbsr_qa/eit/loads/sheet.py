@@ -60,8 +60,8 @@ class LinkedPatches:
     def nbytes(self) -> int:
         """Memory it takes beside its patches."""
         eliminated = self._eliminated[1] if self._eliminated else ()
-        kept = [*self._bases, *self._contact_bases, self._between, self._fields, self._series, self._contact_own]
-        return sum(array.nbytes for array in [*kept, *eliminated])
+        arrays = [*self._bases, *self._contact_bases, self._between, self._fields, self._series, self._contact_own]
+        return sum(array.nbytes for array in [*arrays, *eliminated])
 
     def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
         """Decrease of the transfer impedance, at several moments: (moments, electrodes, electrodes) [V/A].

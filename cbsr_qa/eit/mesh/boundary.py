@@ -104,7 +104,7 @@ def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
 
 
 _ACROSS: Final = 2.5  # elements across a narrow place, at least
-#: Two places on the edge face each other if the way along it is this many times the straight distance.
+#: Ratio of the way along the edge to the straight distance above which two places face each other.
 _DETOUR: Final = 4.0
 _TURN_PER_EDGE: Final = np.pi / 3  # of a rounded corner, at most
 _SHORT_ARC: Final = 0.6  # of the elements: shorter arcs have one node
@@ -152,8 +152,8 @@ class SizeField:
             np.minimum(sizes, source.grade(source.finest, away), out=sizes)
         if len(self.narrow):
             count = min(4, len(self.narrow))
-            away, which = cKDTree(self.narrow).query(points, k=range(1, count + 1))
-            np.minimum(sizes, (self.across[which] + self.slope * away).min(axis=1), out=sizes)
+            away, nearest = cKDTree(self.narrow).query(points, k=range(1, count + 1))
+            np.minimum(sizes, (self.across[nearest] + self.slope * away).min(axis=1), out=sizes)
         return sizes
 
     def with_narrow(self, places: Points, across: Lengths) -> "SizeField":
@@ -225,8 +225,8 @@ def find_fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: f
         away = np.abs(stops - corner)
         stops[np.minimum(away, curve.perimeter - away) < _ON_CORNER * width] = corner
     places = np.unique(np.concatenate([corners, stops]))
-    apart = np.diff(np.append(places, places[0] + curve.perimeter))
-    return places[np.roll(apart, 1) > 1e-9 * curve.perimeter]
+    gaps = np.diff(np.append(places, places[0] + curve.perimeter))
+    return places[np.roll(gaps, 1) > 1e-9 * curve.perimeter]
 
 
 def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
@@ -280,10 +280,10 @@ def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
 
 def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
     """The piece that a stretch lies on; −1 if it crosses from one to the next."""
-    along = (begin + end) / 2 % curve.perimeter
-    piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
-    whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
-    return piece if whole else -1
+    middle = (begin + end) / 2 % curve.perimeter
+    piece = int(np.searchsorted(curve.begins, middle, side="right")) - 1
+    is_within = end - begin <= 2 * min(middle - curve.begins[piece], curve.begins[piece + 1] - middle) * (1 + 1e-9)
+    return piece if is_within else -1
 
 
 def _centre(curve: ClosedCurve, piece: int) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.foreign import open_foreign
 from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
-#: More than any mesh of a sheet; files that claim more are refused before memory is allocated.
+#: Largest size of a mesh file; files that claim more are refused before memory is allocated.
 LARGEST_BYTES: Final = 200_000_000
 #: Name of a group of lines that represents an electrode, with its number.
 _ELECTRODE: Final = re.compile(r"electrode[-_ ]?(\d+)", re.IGNORECASE)

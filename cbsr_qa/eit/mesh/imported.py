@@ -53,11 +53,11 @@ def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indic
     """Return rows of nodes as int64: ``tail`` is () for single ones, (2,) for edges, (3,) for triangles."""
     array = array_of(numbers, what)
     counted = array.dtype.kind == "f" and bool(((array == np.floor(array)) & (np.abs(array) < 2**53)).all())
-    whole = array.dtype.kind in "iu" or counted
-    if not whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
-        wanted = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
+    is_whole = array.dtype.kind in "iu" or counted
+    if not is_whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
+        form = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
         raise NumericsError(
-            f"{what} of shape {array.shape} and type {array.dtype}; {wanted} are needed, by number",
+            f"{what} of shape {array.shape} and type {array.dtype}; {form} are needed, by number",
             remedy="give whole numbers, one row after another",
         )
     return array.astype(np.int64)
@@ -90,9 +90,9 @@ def check_doubled(points: Points, corners: Indices) -> None:
 
 def check_used(points: Points, corners: Indices) -> None:
     """Refuse nodes that belong to no element."""
-    used = np.zeros(len(points), dtype=np.bool_)
-    used[corners] = True
-    idle = np.flatnonzero(~used)
+    is_used = np.zeros(len(points), dtype=np.bool_)
+    is_used[corners] = True
+    idle = np.flatnonzero(~is_used)
     if idle.size:
         raise NumericsError(
             f"node {idle[0]} (one of {idle.size} such) belongs to no element",
@@ -274,9 +274,9 @@ def _edges_of(given: ElectrodeAt | Indices, number: int, mesh: Mesh, boundary: I
     if given.ndim == 1:
         return _edges_between(given, number, boundary)
     keys = _keys(boundary, mesh)
-    inside = np.flatnonzero(~np.isin(_keys(given, mesh), keys))
-    if inside.size:
-        first, second = given[inside[0]]
+    strays = np.flatnonzero(~np.isin(_keys(given, mesh), keys))
+    if strays.size:
+        first, second = given[strays[0]]
         raise NumericsError(
             f"electrode {number}: nodes {first} and {second} are no edge of the mesh's boundary",
             remedy="an electrode is on the sheet's edge, or on the rim of a hole in it",
@@ -288,9 +288,9 @@ def _edges_between(nodes: Indices, number: int, boundary: Indices) -> Indices:
     edges: Indices = boundary[np.isin(boundary, nodes).all(axis=1)]
     lonely = np.setdiff1d(nodes, edges)
     if lonely.size:
-        where = "is not on the mesh's boundary" if not np.isin(lonely[0], boundary) else "has no other beside it"
+        fault = "is not on the mesh's boundary" if not np.isin(lonely[0], boundary) else "has no other beside it"
         raise NumericsError(
-            f"electrode {number}: node {lonely[0]} {where}; an electrode's nodes are joined by edges of the boundary",
+            f"electrode {number}: node {lonely[0]} {fault}; an electrode's nodes are joined by edges of the boundary",
             remedy="name all its nodes; for an electrode that is a single point use"
             " cbsr_qa.eit.forward.model.point_model",
         )

@@ -185,8 +185,8 @@ def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_lea
 
 def _rotate_copies(angles: Array, layout: ElectrodeLayout, radius: float) -> Points:
     """Nodes of one electrode's stretch of the edge, repeated for every electrode, in order."""
-    every = angles + layout.step_rad * np.arange(layout.count)[:, None]
-    return radius * _unit(every.ravel())
+    all_angles = angles + layout.step_rad * np.arange(layout.count)[:, None]
+    return radius * _unit(all_angles.ravel())
 
 
 def _unit(angles: Array) -> Points:

@@ -21,7 +21,7 @@ _TOO_LARGE = 1.25  # a larger circumradius, relative to an equilateral triangle'
 _SPACING = 0.86  # distance between points inserted together, in wanted sizes
 _CLEARANCE = 0.58  # and from the outline
 _ROUNDS = 60
-#: More points than any sheet's mesh needs (3000 to 20000); filling so many takes about a minute.
+#: Largest number of points: more than any sheet's mesh needs (3000 to 20000); so many take about a minute.
 MOST_POINTS: Final = 200_000
 
 
@@ -78,8 +78,12 @@ def triangulate(outline: Outline, points: Points) -> Indices:
     elements = Delaunay(points).simplices.astype(np.int64)
     hole = np.full(len(points), -1)
     hole[: len(outline.hole)] = outline.hole
-    own = hole[elements]
-    in_hole = (own[:, 0] >= 0) & (own[:, 0] == own[:, 1]) & (own[:, 1] == own[:, 2])
+    element_holes = hole[elements]
+    in_hole = (
+        (element_holes[:, 0] >= 0)
+        & (element_holes[:, 0] == element_holes[:, 1])
+        & (element_holes[:, 1] == element_holes[:, 2])
+    )
     elements = elements[~in_hole]
     twice = twice_area(points, elements)
     turned = twice < 0

@@ -44,9 +44,9 @@ def read_line(raw: bytes, last: int) -> NumberedLine:
 
 def words(command: str) -> tuple[str, dict[str, float | None]]:
     """Split a command into code and parameters; None for parameters without a number."""
-    code, *rest = command.split() or [""]
+    code, *parameter_words = command.split() or [""]
     parameters: dict[str, float | None] = {}
-    for word in rest:
+    for word in parameter_words:
         try:
             parameters[word[0].upper()] = float(word[1:])
         except ValueError:
@@ -182,11 +182,13 @@ class EmulatedApplicator:
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
         origin = self._target_mm()
-        wanted = [self._goal_of(axis, parameters) for axis in range(3)]
-        x, y, z = (min(max(to, 0.0), most) for to, most in zip(wanted, REACH_MM, strict=True))
-        ways = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
-        length = sum(way**2 for way in ways) ** 0.5
-        slowest_s = max([length / self._speed_mm_s, *(w / v for w, v in zip(ways, _FASTEST_MM_S, strict=True))])
+        goal_mm = [self._goal_of(axis, parameters) for axis in range(3)]
+        x, y, z = (min(max(to, 0.0), most) for to, most in zip(goal_mm, REACH_MM, strict=True))
+        distances_mm = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
+        length = sum(way**2 for way in distances_mm) ** 0.5
+        slowest_s = max(
+            [length / self._speed_mm_s, *(w / v for w, v in zip(distances_mm, _FASTEST_MM_S, strict=True))]
+        )
         if length > 0:
             self._head.go(self._true((x, y, z)), length / slowest_s)
         return ""

@@ -116,6 +116,6 @@ class EmulatedMultiplexer:
 
     def _send_log(self) -> None:
         with self._writing:
-            held, self._waiting = self._waiting, b""
-        if held:
-            self._send(held + self._log())
+            waiting, self._waiting = self._waiting, b""
+        if waiting:
+            self._send(waiting + self._log())

@@ -152,9 +152,9 @@ class EmulatedSourceMeter:
         self._wire()
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
-        channel, _, rest = name.partition(".")
-        if channel in self._buffers and rest in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
-            return self._call_channel(channel, rest, arguments)
+        channel, _, function = name.partition(".")
+        if channel in self._buffers and function in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
+            return self._call_channel(channel, function, arguments)
         if name == "reset":
             self._reset()
         elif name == "print":
@@ -196,8 +196,8 @@ class EmulatedSourceMeter:
         self._reset()
 
     def _reset(self) -> None:
-        kept = {_PROMPTS: self._attributes[_PROMPTS]}
-        self._attributes = {name: spec[0] for name, spec in _ATTRIBUTES.items()} | kept
+        kept_attributes = {_PROMPTS: self._attributes[_PROMPTS]}
+        self._attributes = {name: spec[0] for name, spec in _ATTRIBUTES.items()} | kept_attributes
         for buffer in self._buffers.values():
             buffer.clear()
         self._wire()

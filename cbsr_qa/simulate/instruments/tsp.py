@@ -106,8 +106,8 @@ class Interpreter:
         return self._call(name) if self._tokens[0] == ("sign", "(") else lambda local: (self._value(name, local),)
 
     def _value(self, name: str, local: Locals) -> Any:
-        known = {**local, **_CONSTANTS}
-        return known[name] if name in known else self._machine.value(name)
+        values = {**local, **_CONSTANTS}
+        return values[name] if name in values else self._machine.value(name)
 
     def _call(self, name: str) -> Expression:
         """Parse the call of a user-defined function, or else of a built-in one."""

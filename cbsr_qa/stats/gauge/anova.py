@@ -70,8 +70,8 @@ class _Tails:
         return ((1 - f) ** 2 - self.h(plus) ** 2 * f**2 - self.g(minus) ** 2) / f
 
     def alike(self, one: int, two: int) -> float:
-        whole = self.g(one + two) ** 2 * (one + two) ** 2 / (one * two)
-        return whole - self.g(one) ** 2 * one / two - self.g(two) ** 2 * two / one
+        sum_term = self.g(one + two) ** 2 * (one + two) ** 2 / (one * two)
+        return sum_term - self.g(one) ** 2 * one / two - self.g(two) ** 2 * two / one
 
 
 def sum_interval(parts: Sequence[MeanSquare], confidence: float) -> Interval:
@@ -256,8 +256,8 @@ def _squares(rows: dict[Source, Row], shape: tuple[int, int, int], pooled: bool)
 
 def _component(squares: _Squares, factors: tuple[float, float, float, float], confidence: float) -> Variance:
     """Σ factor × mean square of sensor, station, interaction and trials, with its interval."""
-    parts = squares.parts(*factors)
-    return clip_at_zero(sum(part.factor * part.value for part in parts), sum_interval(parts, confidence))
+    terms = squares.parts(*factors)
+    return clip_at_zero(sum(part.factor * part.value for part in terms), sum_interval(terms, confidence))
 
 
 def _variation(

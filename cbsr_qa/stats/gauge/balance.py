@@ -7,7 +7,7 @@ from typing import Final
 
 from cbsr_qa.stats.gauge.crossed_study import on, usual_trials
 
-#: Up to this many stations every choice is tried (2¹² of them); beyond it, only the best choice of each size.
+#: Largest number of stations for which every choice is tried (2¹² of them); beyond it, only the best of each size.
 _MOST_TRIED: Final = 12
 
 
@@ -42,9 +42,13 @@ def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str
     trials = usual_trials(map(len, cells.values()))
     return tuple(
         f"{sensor} {on(appraiser)} {station} has "
-        + (f"{len(found)} of {_runs(trials)}" if len(found) < trials else f"{_runs(len(found))} instead of {trials}")
-        for (sensor, station), found in cells.items()
-        if len(found) != trials
+        + (
+            f"{len(run_indices)} of {_runs(trials)}"
+            if len(run_indices) < trials
+            else f"{_runs(len(run_indices))} instead of {trials}"
+        )
+        for (sensor, station), run_indices in cells.items()
+        if len(run_indices) != trials
     )
 
 

@@ -180,8 +180,8 @@ def usual_trials(counts: Iterable[int]) -> int:
 
     Empty cells do not count, however many they are.
     """
-    found = Counter(count for count in counts if count)
-    return max(found, key=lambda count: (found[count], count), default=0)
+    cells_by_count = Counter(count for count in counts if count)
+    return max(cells_by_count, key=lambda count: (cells_by_count[count], count), default=0)
 
 
 def on(appraiser: str) -> str:

@@ -114,8 +114,8 @@ class Linearity:
         A reference that is u too high reads (1 + b) u too low, b the slope.
         """
         line = self.line
-        parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
-        return Referenced(contrast.value, contrast.standard_error, contrast.freedom, hypot(*parts))
+        contributions = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
+        return Referenced(contrast.value, contrast.standard_error, contrast.freedom, hypot(*contributions))
 
     def acceptable(self, confidence: float = 0.95) -> bool:
         """Whether a bias of zero lies within the confidence band at every reference value."""
@@ -161,10 +161,10 @@ def bias(readings: Iterable[float], reference: float, what: str = "bias", *, unc
         Too few or missing readings, or readings that do not differ.
     """
     array = sample(readings, what, least=2, spread=True)
-    found = summary(array, what)
-    scatter = float(found.deviation or 0) / sqrt(len(array))
-    one = make_contrast(found.mean - reference, scatter, len(array) - 1, what)
-    return Referenced(one.value, one.standard_error, one.freedom, uncertainty)
+    moments = summary(array, what)
+    scatter = float(moments.deviation or 0) / sqrt(len(array))
+    contrast = make_contrast(moments.mean - reference, scatter, len(array) - 1, what)
+    return Referenced(contrast.value, contrast.standard_error, contrast.freedom, uncertainty)
 
 
 def linearity(

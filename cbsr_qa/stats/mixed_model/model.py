@@ -90,8 +90,8 @@ class Fit:
             An unknown or the same station twice, or two that no groups connect.
         """
         places = [self.design.index("station", name) for name in (first, second)]
-        one, two = (int(self.design.station_parts[place]) for place in places)
-        if one != two:
+        first_part, second_part = (int(self.design.station_parts[place]) for place in places)
+        if first_part != second_part:
             raise NumericsError(
                 f"stations {first} and {second} cannot be compared: no group ran on stations that connect them",
                 remedy="measure the same sensors on both",
@@ -186,8 +186,8 @@ def _inseparable(sums: RandomEffectSums) -> str:
         return "no sensor has more than one run, so variation between sensors and between runs cannot be separated"
     if _repeats(sums) < 1:
         return "the stations' differences use up the repeated runs of sensors: first runs only"
-    left = sums.within_rest()
-    if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
+    within_squares = sums.within_rest()
+    if within_squares <= sums.runs * LEAST_SPREAD**2 or within_squares <= 1e-12 * float(sums.products(0.0)[-1, -1]):
         return "runs of one sensor do not differ: first runs only"
     return ""
 

@@ -130,7 +130,7 @@ def _cross(matrix: SparseArray, response: Array) -> Array:
     return products
 
 
-#: θ tried before the minimum is refined; the likelihood may have two minima.
+#: Values of θ tried before the minimum is refined; the likelihood may have two minima.
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
 _FARTHEST = 1e14
 _CONFIDENCE = 0.95
@@ -193,8 +193,8 @@ class Likelihood:
 
     def variance(self, ratio: float) -> float:
         """Return σ² = R/f."""
-        whole = self.sums.within + self.sums.products(ratio)
-        return float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / self.freedom
+        products = self.sums.within + self.sums.products(ratio)
+        return float(np.linalg.cholesky(products)[-1, -1]) ** 2 / self.freedom
 
 
 def variance_ratio(sums: RandomEffectSums) -> Ratio:

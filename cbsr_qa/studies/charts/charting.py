@@ -28,12 +28,13 @@ from cbsr_qa.stats.control_charts import (
 from cbsr_qa.stats.nelson import Rule
 from cbsr_qa.studies.figure_series import Series, figures_of
 
-#: Points without a signal after which a signal is over: lasting changes signal repeatedly, and false alarms should
-#: not be shown longer than necessary.
+#: Number of points without a signal after which a signal is over: lasting changes signal repeatedly, and false
+#: alarms should not be shown longer than necessary.
 STANDS: Final = 5
-#: Signals no further apart belong together: the length of the longest of Nelson's patterns.
+#: Longest gap between signals that belong together: the length of the longest of Nelson's patterns.
 JOINED: Final = 15
-#: Drawn but not counted: one outlier moves it twice, and for undisturbed runs it is wrong in 1 of 110.
+#: Name of the chart that is drawn but not counted: one outlier moves it twice, and it signals in 1 of 110
+#: undisturbed runs.
 UNCOUNTED: Final = "moving range"
 #: Nelson's rules by their numbers.
 RULES: Final = dict(enumerate(Rule, start=1))
@@ -150,12 +151,12 @@ def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
     return charted.ends[first_index], tuple(rules)
 
 
-#: Most runs drawn; of longer charts only the latest.
+#: Largest number of runs drawn; of longer charts the latest runs are drawn.
 MOST_DRAWN: Final = 400
 #: Number of runs below which the uncertainty of limits is reported.
 FEW_RUNS: Final = 25
 
-# What is noted of a chart.
+# Notes on a chart.
 _FEW: Final = "limits from {runs} runs are uncertain: false alarms may be several times as frequent"
 _DOUBTFUL: Final = "the reference period itself breaks rules, so its limits are doubtful: {rules}"
 _ANEW: Final = "{count} of the {runs} runs of the reference have a value now: some were analysed again"

@@ -23,7 +23,7 @@ from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, 
 from cbsr_qa.system.clock import RealClock
 from cbsr_qa.system.words import echo
 
-# What is noted of all charts, or why a metric has none.
+# Notes on all charts, and reasons why a metric has none.
 _FROM_FIRST: Final = (
     "the reference period begins with the station's first run ({day}); --reference-from chooses another day"
 )
@@ -130,9 +130,9 @@ def _select_references(store: Repository, request: ChartsRequest, recipe: str) -
 
 def _retire(store: Repository, request: ChartsRequest, held: Sequence[ChartReference]) -> str:
     """Retire the charts of one kind, for the named metrics or all; return a note with their names."""
-    now, operator, why = RealClock().wall(), request.operator, request.why
+    retired_at, operator, why = RealClock().wall(), request.operator, request.why
     rows = [
-        replace(reference, reference=store.new_id(), operator=operator, made_at=now, why=why, retired=True)
+        replace(reference, reference=store.new_id(), operator=operator, made_at=retired_at, why=why, retired=True)
         for reference in held
         if reference.chart is request.retire
     ]
@@ -201,9 +201,9 @@ def _new_chart(
     if size > 1 and count < FEWEST_GROUPS * size:
         groups = plural(count // size, "whole group")
         return refuse_chart(series, _FEW_GROUPS.format(runs=count, groups=groups, size=size, least=FEWEST_GROUPS))
-    if rest := count % size:
-        left = _LEFT.format(runs=plural(rest, "run"), size=size)
-        count, series = count - rest, replace(series, notes=(*series.notes, left))
+    if ungrouped_count := count % size:
+        note = _LEFT.format(runs=plural(ungrouped_count, "run"), size=size)
+        count, series = count - ungrouped_count, replace(series, notes=(*series.notes, note))
     try:
         standard = standard_of(series.values[:count], request.settings)
     except NumericsError as error:

@@ -1,4 +1,4 @@
-"""Control charts over runs: points, centre line and limits, the reference period, and what signals."""
+"""Control charts over runs: points, centre line and limits, the reference period, and the points that signal."""
 
 from collections.abc import Mapping
 

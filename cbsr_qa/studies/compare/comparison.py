@@ -285,30 +285,32 @@ def _notes(
 
 def _adjust_p_values(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
     """Adjust p values: jointly for all groups, for all equivalence tests, and for all stations."""
-    every = [difference for metric in metrics for difference in metric.differences]
-    groups = iter(_adjust([test.p_unadjusted for test in every], terms.adjustment))
-    alike = iter(_adjust([test.equivalence_p_unadjusted for test in every], terms.adjustment))
-    stations = iter(
+    all_differences = [difference for metric in metrics for difference in metric.differences]
+    group_p_values = iter(_adjust([test.p_unadjusted for test in all_differences], terms.adjustment))
+    equivalence_p_values = iter(
+        _adjust([test.equivalence_p_unadjusted for test in all_differences], terms.adjustment)
+    )
+    station_p_values = iter(
         _adjust([station.p_unadjusted for metric in metrics for station in metric.stations], terms.adjustment)
     )
 
     def with_p(difference: Difference) -> Difference:
-        likeness = next(alike)
-        shown = None if likeness is None else likeness <= terms.level
-        return replace(difference, p=next(groups), equivalence_p=likeness, equivalent=shown)
+        equivalence_p = next(equivalence_p_values)
+        is_equivalent = None if equivalence_p is None else equivalence_p <= terms.level
+        return replace(difference, p=next(group_p_values), equivalence_p=equivalence_p, equivalent=is_equivalent)
 
     return [
         replace(
             metric,
             differences=tuple(map(with_p, metric.differences)),
-            stations=tuple(replace(test, p=next(stations)) for test in metric.stations),
+            stations=tuple(replace(test, p=next(station_p_values)) for test in metric.stations),
         )
         for metric in metrics
     ]
 
 
 def _adjust(p_values: Sequence[float | None], adjustment: Adjustment) -> list[float | None]:
-    made = [p for p in p_values if p is not None]
+    known_p_values = [p for p in p_values if p is not None]
     method = {Adjustment.HOLM: holm, Adjustment.BENJAMINI_HOCHBERG: benjamini_hochberg}.get(adjustment)
-    adjusted = iter(made if method is None else method(made).tolist())
+    adjusted = iter(known_p_values if method is None else method(known_p_values).tolist())
     return [None if p is None else float(next(adjusted)) for p in p_values]

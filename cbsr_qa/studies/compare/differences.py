@@ -140,8 +140,8 @@ class Fitted:
         """Return group − reference; NumericsError if the design cannot estimate it."""
         if self.fit is None:
             raise NumericsError(self.why)
-        of = self.fit.station_difference if self.of_stations else self.fit.group_difference
-        return of(group, reference)
+        estimate = self.fit.station_difference if self.of_stations else self.fit.group_difference
+        return estimate(group, reference)
 
     def station_effect(self, station: str) -> float:
         """Return the difference of a station from the first of its connected part."""
@@ -172,9 +172,9 @@ _Estimate = TypeVar("_Estimate", Difference, StationDifference)
 
 def _fill_contrast(estimated: _Estimate, contrast: Contrast, terms: Terms) -> _Estimate:
     """Fill in an estimate's fields before adjustment."""
-    inside = contrast.interval(terms.confidence)
+    interval = contrast.interval(terms.confidence)
     return replace(
-        estimated, difference=contrast.value, low=inside.low, high=inside.high, p_unadjusted=contrast.p_value()
+        estimated, difference=contrast.value, low=interval.low, high=interval.high, p_unadjusted=contrast.p_value()
     )
 
 
@@ -233,8 +233,8 @@ def _naive(values: tuple[Array, Array], names: tuple[str, str], terms: Terms) ->
         size = hedges(*values, confidence=terms.confidence, names=names).value
     except NumericsError:
         return None
-    inside = contrast.interval(terms.confidence)
-    return Naive(contrast.value, inside.low, inside.high, contrast.p_value(), size)
+    interval = contrast.interval(terms.confidence)
+    return Naive(contrast.value, interval.low, interval.high, contrast.p_value(), size)
 
 
 def _robust(
@@ -270,8 +270,8 @@ def compare_places(
     metric: MetricValues, table: FleetTable, pairs: Sequence[tuple[str, str]], design: Design
 ) -> dict[str, tuple[PlaceDifference, ...]]:
     """Differences of groups by place, if the places form a grid and the metric matters."""
-    wanted = metric.limited or metric.key.name in design.terms.names
-    if not pairs or not wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
+    is_wanted = metric.limited or metric.key.name in design.terms.names
+    if not pairs or not is_wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
         return {}
     models = {
         location: fit_model(

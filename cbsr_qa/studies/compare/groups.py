@@ -187,8 +187,8 @@ class Design:
 
     def common_batches(self, first: str, second: str) -> tuple[str, ...]:
         """Return the batches that ran at one station in both groups, the main basis of their difference."""
-        one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
-        return tuple(sorted({self.levels[level][1] for level in one & two}))
+        first_levels, second_levels = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
+        return tuple(sorted({self.levels[level][1] for level in first_levels & second_levels}))
 
     def untold(self, crossing: Crossing, first: str, second: str) -> str:
         """Explain why two groups cannot be separated; empty if the crossing's own message suffices.
@@ -221,14 +221,14 @@ class Design:
     def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
         """Whether batches (side 1) or stations (side 0) alone leave two groups unconnected."""
         joined = _cross_levels(self, crossing, side)
-        one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
-        return one != two
+        first_part, second_part = (int(joined.group_parts[joined.index("group", name)]) for name in names)
+        return first_part != second_part
 
     def _words(self, crossing: Crossing, name: str, other: str) -> str:
         pairs = sorted(self.levels[level] for level in _levels_of(crossing)[name])
         if other:
-            seen = {_batch(batch) if other == "batches" else station for station, batch in pairs}
-            return f"{list_names(sorted(seen))} only"
+            names = {_batch(batch) if other == "batches" else station for station, batch in pairs}
+            return f"{list_names(sorted(names))} only"
         return list_names([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
 
 

@@ -77,8 +77,8 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
         ),
     )
     banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
-    subject, every = f"by {comparison.by}", (*warnings, *comparison.warnings)
-    page = Page("Comparison", subject, banner, identity, comparison.simulated, every, advice)
+    subject, all_warnings = f"by {comparison.by}", (*warnings, *comparison.warnings)
+    page = Page("Comparison", subject, banner, identity, comparison.simulated, all_warnings, advice)
     laid_out = [*sections(worded), *([_notes_section(notes)] if notes else [])]
     return CommandOutcome(worded, page, tuple(laid_out), 0 if comparison.compared else _NOTHING)
 
@@ -168,8 +168,8 @@ def _say_missing(comparison: Comparison) -> Iterator[str]:
     never = [name for name in names if name not in _comparable_groups(comparison)]
     if never:
         yield _NEVER.format(groups=_join_groups(never))
-    some = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
-    for count, members in groupby(some, key=lambda name: counts[name]):
+    partly_compared = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
+    for count, members in groupby(partly_compared, key=lambda name: counts[name]):
         metrics_text = plural(len(metrics), "metric")
         yield _IN_SOME.format(groups=_join_groups(list(members)), count=count, metrics=metrics_text)
 
@@ -225,8 +225,8 @@ def _group_by_text(
     for text, metric in pairs:
         metrics.setdefault(text, {})[metric.values.title] = None
     for text, titles in metrics.items():
-        of = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else list_names(list(titles), 3)
-        yield template.format(metrics=capital(of), text=text)
+        metric_names = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else list_names(list(titles), 3)
+        yield template.format(metrics=capital(metric_names), text=text)
 
 
 def _rules(comparison: Comparison) -> Iterator[str]:
@@ -245,8 +245,12 @@ def _rules(comparison: Comparison) -> Iterator[str]:
 
 def _comparable_groups(comparison: Comparison) -> list[str]:
     """Return the reference and the groups compared with it in any metric, in order."""
-    known = {metric.group for metric in comparison.metrics if metric.difference is not None}
-    return [group.name for group in comparison.groups if group.name in known or group.name == comparison.reference]
+    compared_groups = {metric.group for metric in comparison.metrics if metric.difference is not None}
+    return [
+        group.name
+        for group in comparison.groups
+        if group.name in compared_groups or group.name == comparison.reference
+    ]
 
 
 def _idle(metric: MetricComparison) -> bool:

@@ -157,8 +157,8 @@ def _average_by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -
     members.pop("", None)
     means = {}
     for location, indices in sorted(members.items()):
-        here = rows[np.isin(table.kind[rows], indices)]
-        means[location] = _means(table.run[here], table.value[here], runs)
+        location_rows = rows[np.isin(table.kind[rows], indices)]
+        means[location] = _means(table.run[location_rows], table.value[location_rows], runs)
     return means
 
 
@@ -197,9 +197,9 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
 
 def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
     """Name values that are too large for arithmetic."""
-    shown = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
-    if shown:
-        yield _BEYOND.format(values=list_names(sorted(shown)))
+    sensors = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
+    if sensors:
+        yield _BEYOND.format(values=list_names(sorted(sensors)))
 
 
 def _sensors(template: str, table: FleetTable, runs: NDArray[np.intp], **words: str) -> Iterator[str]:

@@ -64,8 +64,8 @@ def _possibly_dominating(
     way: tuple[float, Mapping[str, Accuracy], int],
 ) -> tuple[float, int, list[tuple[str, float]]]:
     """Sort key that puts possibly dominating settings first: cheaper, more accuracies, smaller errors."""
-    price, stated, _ = way
-    return price, -len(stated), sorted((name, value.shortfall) for name, value in stated.items())
+    price, accuracy, _ = way
+    return price, -len(accuracy), sorted((name, value.shortfall) for name, value in accuracy.items())
 
 
 def _dominates(stated: Mapping[str, Accuracy], dearer: bool, other: Mapping[str, Accuracy]) -> bool:
@@ -74,12 +74,15 @@ def _dominates(stated: Mapping[str, Accuracy], dearer: bool, other: Mapping[str,
         return False
     pairs = [(value, other[name]) for name, value in stated.items()]
     if dearer:
-        return all(theirs.shortfall <= own.shortfall + joint_stderr(own, theirs) for own, theirs in pairs)
-    differences = [theirs.shortfall - own.shortfall for own, theirs in pairs]
+        return all(
+            other_accuracy.shortfall <= accuracy.shortfall + joint_stderr(accuracy, other_accuracy)
+            for accuracy, other_accuracy in pairs
+        )
+    differences = [other_accuracy.shortfall - accuracy.shortfall for accuracy, other_accuracy in pairs]
     return max(differences, default=0.0) <= 0 and any(differences)
 
 
-#: Without a target: longest time, and largest ratio of errors to the paper's campaign.
+#: Longest time, and largest ratio of errors to those of the paper's campaign, if no target is given.
 USUAL_BUDGET_S: Final = 25 * 60.0
 USUAL_ROOM: Final = 1.2
 _FORCE: Final = "force_error"

@@ -153,9 +153,11 @@ def notes_of(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     if len({point.note for point in members}) == 1:
         return list(filter(None, [members[0].note]))
-    shown = _varying_knobs(members)
+    varying = _varying_knobs(members)
     return [
-        f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
+        f"{_knobs({name: point.knobs.get(name) for name in varying})}: {point.note}"
+        for point in members
+        if point.note
     ]
 
 
@@ -173,8 +175,8 @@ def _knobs(knobs: Mapping[str, Knob | None]) -> str:
 def _name_knob(knob: str) -> tuple[str, str]:
     """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
-    words, unit = (name, last) if name and last in _UNITS else (knob, "")
-    return _words(words), unit
+    stem, unit = (name, last) if name and last in _UNITS else (knob, "")
+    return _words(stem), unit
 
 
 def _words(name: str) -> str:

@@ -12,7 +12,7 @@ from cbsr_qa.domain.results.dimensions import Dimensions
 from cbsr_qa.studies.frontier.point import Knob
 from cbsr_qa.studies.simulated import copy_shipped
 
-#: Shipped recipe that provides the imaging, metrics and limits of settings, and what they do not set of its phases.
+#: Shipped recipe that provides imaging, metrics and limits, and the options of phases that settings leave open.
 BASE: Final = "campaign"
 #: Names of the phases of every recipe of the frontier.
 START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
@@ -77,7 +77,7 @@ class Setting:
 
     @property
     def is_recipe(self) -> bool:
-        """Whether a recipe can express it: frame times are the source meter's, and no recipe chooses as it goes."""
+        """Whether a recipe can express it: a recipe sets no frame time, and does not choose places during the run."""
         return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:

@@ -76,9 +76,11 @@ def parts_of_paper() -> Ways:
 
 def parts_of_even(*, quick: bool) -> Ways:
     """Parts of thirty places (16 in the quick sweep) held for a minute, beginning with the whole."""
-    whole, holds_s = (QUICK_EVEN, (15.0,)) if quick else (EVEN, (30.0, 20.0, 15.0, 10.0))
-    short = [replace(whole, hold_s=hold_s, predicted=predicted) for hold_s in holds_s for predicted in (False, True)]
-    holds = [("hold", setting) for setting in (whole, *short)]
+    full_setting, holds_s = (QUICK_EVEN, (15.0,)) if quick else (EVEN, (30.0, 20.0, 15.0, 10.0))
+    short = [
+        replace(full_setting, hold_s=hold_s, predicted=predicted) for hold_s in holds_s for predicted in (False, True)
+    ]
+    holds = [("hold", setting) for setting in (full_setting, *short)]
     frames = [("frames averaged", replace(EVEN, steady_frames=count)) for count in (4, 1, 2, 8)]
     return holds if quick else [*holds, *frames]
 
@@ -110,8 +112,8 @@ def station_work(*, quick: bool) -> Iterator[Work]:
         if not quick:
             paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
             yield Work(f"{sweep}/paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper)
-        parts = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
-        yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", parts)
+        even_work = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
+        yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", even_work)
     series_by_setting: dict[Setting, list[str]] = {}
     for series, setting in ways_by_simulation(quick=quick):
         series_by_setting.setdefault(setting, []).append(series)
@@ -151,8 +153,8 @@ class _Simulated:
         try:
             run = self._observe(setting)
             chosen = self._load_filter(run, setting)
-            own = select_loads(run, lambda load: load.phase != GRID or chosen(load.record))
-            return errors_of(own, self._held_out, self._design), ""
+            setting_run = select_loads(run, lambda load: load.phase != GRID or chosen(load.record))
+            return errors_of(setting_run, self._held_out, self._design), ""
         except CbsrError as refusal:
             return {}, refusal.reason
 

@@ -91,15 +91,15 @@ def select_loads(run: RunObservation, wanted: Callable[[LoadObservation], bool])
 
 def long_holds(run: RunObservation) -> list[LoadObservation]:
     """Select loads that determine the sensor's relaxation: those held longest."""
-    held = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
-    return [load for load, seconds in zip(run.loads, held, strict=True) if seconds >= 0.9 * max(held)]
+    hold_times_s = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
+    return [load for load, seconds in zip(run.loads, hold_times_s, strict=True) if seconds >= 0.9 * max(hold_times_s)]
 
 
 def _forces(learned: LearnedForce, held_out: RunObservation) -> dict[str, float]:
     tests = force_tests(held_out, learned)
-    known = [test.known_N - test.measured_N for test in tests]
-    estimated = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
-    errors = {"force_error": known, "force_error_found": estimated}
+    errors_at_known_places = [test.known_N - test.measured_N for test in tests]
+    errors_at_found_places = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
+    errors = {"force_error": errors_at_known_places, "force_error_found": errors_at_found_places}
     return {name: _rms(values) for name, values in errors.items() if values}
 
 
@@ -160,9 +160,9 @@ def _least_certain_places(places: Array, variance: Array, chosen: Sequence[int],
     picked: list[int] = []
     for apart_mm in (_APART_MM, 0.0):
         for k in np.argsort(-variance).tolist():
-            taken = k in chosen or k in picked
+            is_taken = k in chosen or k in picked
             near = any(np.hypot(*(places[k] - places[other])) < apart_mm for other in picked)
-            if len(picked) < count and not taken and not near:
+            if len(picked) < count and not is_taken and not near:
                 picked.append(k)
     return picked
 

@@ -137,8 +137,8 @@ def _legend_below(axes: Axes, gap_in: float) -> None:
 
 
 def _names(axes: Axes, names: Sequence[str]) -> None:
-    every = -(-len(names) // _MOST_NAMES)
-    places = range(0, len(names), every)
+    step = -(-len(names) // _MOST_NAMES)
+    places = range(0, len(names), step)
     short = [names[place][:10] for place in places]
     turned = 30 if sum(map(len, short)) > 48 else 0
     axes.set_xticks(list(places), short, rotation=turned, ha="right" if turned else "center", fontsize=6.5)

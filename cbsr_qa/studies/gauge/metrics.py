@@ -86,9 +86,9 @@ def _add_tolerance(request: GaugeRequest, series: Series) -> Iterator[Toleranced
 def _with_limits(series: Series, wanted: MetricWanted) -> Toleranced:
     if wanted.width is not None:
         return Toleranced(replace(series, lower=wanted.lower, upper=wanted.upper), wanted.width, "study")
-    own = series.tolerance
+    tolerance = series.tolerance
     # Coinciding limits leave no width.
-    return Toleranced(series, own, "recipe") if own else Toleranced(series, None, "")
+    return Toleranced(series, tolerance, "recipe") if tolerance else Toleranced(series, None, "")
 
 
 def _other_unit(at: str, unit: str, series: Series) -> RefusedError:

@@ -250,9 +250,11 @@ def _linearity(
         reference: [value for line, value, _ in rows if line.serial == reference.serial] for reference in references
     }
     pairs = [(true.value, value) for true, values in readings.items() for value in values]
-    known = [(len(values), true.value, true.uncertainty) for true, values in readings.items() if values]
+    reference_uncertainties = [
+        (len(values), true.value, true.uncertainty) for true, values in readings.items() if values
+    ]
     try:
-        fitted = linearity([true for true, _ in pairs], [value for _, value in pairs], known=known)
+        fitted = linearity([true for true, _ in pairs], [value for _, value in pairs], known=reference_uncertainties)
     except NumericsError as error:
         return BiasLinearity(who, why=f"{error.reason}; {error.remedy}" if error.remedy else error.reason)
     slope, intercept = fitted.rise().estimate(confidence), fitted.intercept.estimate(confidence)

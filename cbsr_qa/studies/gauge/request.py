@@ -145,8 +145,8 @@ class StudyTable(Table):
         if self.recipe is None and self.serials is None:
             yield Problem(("study",), "has neither recipe nor serials; give one of them, or both")
         if not 50 < self.confidence_percent < 100:
-            what = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
-            yield Problem(("study", "confidence_percent"), what)
+            problem = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
+            yield Problem(("study", "confidence_percent"), problem)
         if self.since and self.until and self.since > self.until:
             yield Problem(("study", "since"), f"is {self.since}, after until = {self.until}")
         for key in ("serials", "stations", "operators"):
@@ -173,8 +173,8 @@ class MetricTable(Table):
             yield Problem((*where, "unit"), f"is missing: {' and '.join(numbers)} of {self.name} must have one")
         if (self.lower is None) != (self.upper is None):
             other = "upper" if self.upper is None else "lower"
-            what = f"has no {other}; a tolerance is from lower to upper, or give its width as tolerance"
-            yield Problem((*where, numbers[0]), what)
+            problem = f"has no {other}; a tolerance is from lower to upper, or give its width as tolerance"
+            yield Problem((*where, numbers[0]), problem)
         if self.tolerance is not None and len(numbers) > 1:
             yield Problem((*where, "tolerance"), "is given beside lower or upper; give the one or the others")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:

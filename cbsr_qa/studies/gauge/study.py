@@ -1,6 +1,6 @@
 """Gauge R&R from stored runs: sensors are the parts, stations or operators appraise, repeated runs are trials.
 
-Missing runs are refused with what is missing.
+A study with missing runs is refused, and the refusal names them.
 """
 
 from collections import Counter
@@ -159,9 +159,9 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     request.check()
     with open_store(database_url(database), create=False) as store:
         table, lines, notes = choose_runs(store, request)
-        wanted = choose_metrics(table, request, lines)
+        chosen_metrics = choose_metrics(table, request, lines)
         notes += likeness_notes(store, lines)
-    metrics = tuple(_metric(toleranced, request) for toleranced in wanted)
+    metrics = tuple(_metric(toleranced, request) for toleranced in chosen_metrics)
     _check_any(metrics, largest_balanced=request.largest_balanced)
     return fill_from_object(
         GaugeStudy,
@@ -223,8 +223,8 @@ def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser
     cells = Counter(zip(sensors, appraisers, strict=True))
     if not cells or max(cells.values()) > 1 or min(len(set(sensors)), len(set(appraisers))) < 2:
         return ""
-    where = "on a station" if appraiser == "station" else f"by an {appraiser}"
-    return f"every sensor was run once {where}: repeatability needs at least two runs of each"
+    place = "on a station" if appraiser == "station" else f"by an {appraiser}"
+    return f"every sensor was run once {place}: repeatability needs at least two runs of each"
 
 
 def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request: GaugeRequest) -> MetricGauge:

@@ -19,7 +19,7 @@ import numpy as np
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.filling import fill_from_object
 
-#: Relative accuracy lost to conditioning may reach this many times condition number times machine precision.
+#: Largest relative error by conditioning, in units of condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
 #: Time limit of a case; the longest takes a few seconds.
 LONGEST_S: Final = 120.0
@@ -194,8 +194,8 @@ def _why_broken(case: HardCase, answer: Answer | None) -> str:
     assert answer is not None  # of a case with an answer
     if not (math.isfinite(answer.error) and math.isfinite(answer.bound)):
         return "its error or its bound is no finite number"
-    within = 0 <= answer.error <= answer.bound
-    return "" if within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
+    is_within = 0 <= answer.error <= answer.bound
+    return "" if is_within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
 
 
 def _finite(value: float | None) -> float | None:

@@ -101,12 +101,14 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
     scaled = jacobian.astype(np.longdouble) / root
     with mp.workdps(DIGITS):
         system = exact_gram(scaled)
-        for row, own in enumerate(variance.tolist()):
-            system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(own)
+        for row, row_variance in enumerate(variance.tolist()):
+            system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(row_variance)
         coefficients = mp.cholesky_solve(mp.matrix(system), mp.matrix(readings.tolist()))
         split = [_split_value(value) for value in coefficients]
-    parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of the remainder of the previous ones
-    image: Array = ((scaled.T @ parts).sum(axis=1) / root).astype(np.float64)
+    coefficient_parts = np.array(
+        split, dtype=np.longdouble
+    )  # (m, 3), each a double of the remainder of the previous ones
+    image: Array = ((scaled.T @ coefficient_parts).sum(axis=1) / root).astype(np.float64)
     return image
 
 
@@ -121,13 +123,13 @@ def exact_gram(rows: Long) -> list[list[Any]]:
     scaled_products = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
     for total in range(_SLICES):  # slices i and j weigh 2^−21(i + j + 2)
         summed = np.zeros((len(rows), len(rows)), dtype=np.int64)
-        for first in range(0, rows.shape[1], _SUMMED):
-            here = slice(first, first + _SUMMED)
+        for begin in range(0, rows.shape[1], _SUMMED):
+            here = slice(begin, begin + _SUMMED)
             for i in range(total + 1):
                 summed += (slices[i][:, here] @ slices[total - i][:, here].T).astype(np.int64)
         shift = (_SLICES - 1 - total) * _BITS
         scaled_products = [
-            above + (here << shift) for above, here in zip(scaled_products, summed.ravel().tolist(), strict=True)
+            higher + (here << shift) for higher, here in zip(scaled_products, summed.ravel().tolist(), strict=True)
         ]
     powers = (exponents[:, None] + exponents - (_SLICES + 1) * _BITS).ravel().tolist()
     flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(scaled_products, powers, strict=True)]
@@ -220,9 +222,9 @@ def _process(alike: _Exact, deviation: Any, noise: _Exact, y: _Exact) -> tuple[A
 def _correlations(places_mm: Array, others_mm: Array, smooth: bool, length_mm: float) -> _Exact:
     """Gaussian or Matérn 5/2 correlations of places (n, o)."""
     steps = _exact(places_mm)[:, None] - _exact(others_mm)
-    apart = np.frompyfunc(mp.hypot, 2, 1)(steps[..., 0], steps[..., 1]) / mp.mpf(length_mm)
-    exponential, far = np.frompyfunc(mp.exp, 1, 1), mp.sqrt(5) * apart
-    correlations: _Exact = exponential(-(apart**2) / 2) if smooth else (1 + far + far**2 / 3) * exponential(-far)
+    distance = np.frompyfunc(mp.hypot, 2, 1)(steps[..., 0], steps[..., 1]) / mp.mpf(length_mm)
+    exponential, far = np.frompyfunc(mp.exp, 1, 1), mp.sqrt(5) * distance
+    correlations: _Exact = exponential(-(distance**2) / 2) if smooth else (1 + far + far**2 / 3) * exponential(-far)
     return correlations
 
 

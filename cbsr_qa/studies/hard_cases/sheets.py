@@ -130,8 +130,8 @@ def scatter_conductance(decades: float, seed: int = 20261121) -> Array:
 
 def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> float:
     """‖V − V*‖/‖V*‖ over the readings that touch no driven electrode."""
-    used = pattern.usable()
-    return apart(computed[used], exact[used])
+    is_usable = pattern.usable()
+    return apart(computed[is_usable], exact[is_usable])
 
 
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
@@ -174,9 +174,9 @@ def exact_derivatives(
     with mp.workdps(DIGITS):
         potentials = _potentials(mesh, pattern, conductance, contact_impedance)
         changes = []
-        for unknowns, own in _pieces(mesh, conductance, contact_impedance):
+        for unknowns, piece in _pieces(mesh, conductance, contact_impedance):
             drops = potentials[:, unknowns] - potentials[:, unknowns[-1:]]  # small compared with the potentials
-            changes.append((unknowns, (drops @ own @ drops.T).astype(np.float64)))
+            changes.append((unknowns, (drops @ piece @ drops.T).astype(np.float64)))
     count, elements = len(mesh.nodes_mm), len(mesh.elements)
     by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
     for unknowns, change in changes[elements:]:
@@ -190,8 +190,8 @@ def _potentials(
     """Potentials (drives, nodes, then electrodes) of a unit current through each pair; the last electrode has 0."""
     count, driven = len(mesh.nodes_mm), pattern.drive_currents()
     system = np.full((count + len(driven), count + len(driven)), mp.zero, dtype=object)
-    for unknowns, own in _pieces(mesh, conductance, contact_impedance):
-        system[np.ix_(unknowns, unknowns)] += own
+    for unknowns, piece in _pieces(mesh, conductance, contact_impedance):
+        system[np.ix_(unknowns, unknowns)] += piece
     potentials = np.full((count + len(driven), driven.shape[1]), mp.zero, dtype=object)
     potentials[count:] += driven
     _solve(system[:-1, :-1], potentials[:-1])

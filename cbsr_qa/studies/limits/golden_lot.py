@@ -91,11 +91,11 @@ class Lot:
 
 def _data_rows(run: LotRun) -> Iterable[list[Any]]:
     for m in run.analysis.measurements:
-        where = [m.phase, m.location, m.trial, m.load, m.qualifier]
-        yield [run.line.serial, run.line.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
+        key = [m.phase, m.location, m.trial, m.load, m.qualifier]
+        yield [run.line.serial, run.line.run, m.name, m.unit, *key, m.value, m.uncertainty, str(m.bound)]
 
 
-#: More than the size of any list of serial numbers.
+#: Size above that of any list of serial numbers [bytes].
 _LARGEST_BYTES: Final = 2**24
 
 
@@ -170,8 +170,8 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
 
 def _describe_simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
     """Describe simulated parts, each once: seeds differ from run to run."""
-    words = {what for run in runs for what in run.line.simulated}
-    return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in words}))
+    descriptions = {what for run in runs for what in run.line.simulated}
+    return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in descriptions}))
 
 
 def _has_result(run: RunLine) -> bool:
@@ -216,8 +216,8 @@ def _describe_mixture(store: Repository, runs: Sequence[LotRun], choice: LotChoi
 
 def _group_serials(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
-    for run, words in pairs:
-        serials = groups.setdefault(words, [])
+    for run, description in pairs:
+        serials = groups.setdefault(description, [])
         if run.line.serial not in serials:
             serials.append(run.line.serial)
     return groups

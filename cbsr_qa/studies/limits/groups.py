@@ -40,8 +40,8 @@ class Group:
             return f"of {', '.join(lower)} only lower bounds are known (≥): hold longer, so that it is measured"
         counts = {len(run): serial for serial, runs in self.sensors.items() for run in runs}
         if len(counts) > 1:
-            words = " and ".join(f"{count} (such as {serial})" for count, serial in sorted(counts.items()))
-            return f"runs have different numbers of values: {words}"
+            count_words = " and ".join(f"{count} (such as {serial})" for count, serial in sorted(counts.items()))
+            return f"runs have different numbers of values: {count_words}"
         return ""
 
 

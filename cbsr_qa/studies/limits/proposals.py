@@ -61,9 +61,9 @@ class Terms:
         RefusedError if a number is out of range, or the distribution does not exist.
         """
         ranges = (("coverage", coverage_percent, 99.99), ("confidence", confidence_percent, 99.9))
-        for name, percent, most in ranges:
-            if not 50 <= percent <= most:
-                raise RefusedError(f"{name} is {percent:g} %; allowed: 50 to {most:g} %")
+        for name, percent, largest_percent in ranges:
+            if not 50 <= percent <= largest_percent:
+                raise RefusedError(f"{name} is {percent:g} %; allowed: 50 to {largest_percent:g} %")
         if not 0 <= guard_factor <= 10:
             raise RefusedError(f"the guard factor is {guard_factor:g}; allowed: 0 to 10")
         if distribution not in _DISTRIBUTIONS:
@@ -242,8 +242,10 @@ def _ends(limits: LotLimits) -> tuple[float | None, float | None]:
 def _refit_without(limits: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
     if not limits.far_out:
         return None
-    kept = [index for index in range(len(largest)) if index not in limits.far_out]
-    other = lot_limits([smallest[index] for index in kept], [largest[index] for index in kept], values, ask)
+    kept_indices = [index for index in range(len(largest)) if index not in limits.far_out]
+    other = lot_limits(
+        [smallest[index] for index in kept_indices], [largest[index] for index in kept_indices], values, ask
+    )
     return BareLimits(*_ends(other), other.why)
 
 

@@ -26,7 +26,7 @@ RULE: Final = (
     " reaches beyond the limit; any other passes (JCGM 106:2012, 8.3.2); guard band = {factor:g} × expanded"
     " uncertainty"
 )
-#: Why a recipe may refuse a limit on the overlap.
+#: Reason why a recipe may refuse a limit on the overlap.
 SIZELESS: Final = "{label}: a recipe takes this in only with area_ratio limited there too, above 0 and on both sides"
 
 
@@ -151,8 +151,8 @@ def _name_unsized(limits: tuple[ProposedLimit, ...]) -> tuple[str, ...]:
 def lot_words(lot: Lot) -> str:
     """Return the lot in one line."""
     counts = f"{plural(len(lot.sensors), 'sensor')}, {plural(len(lot.runs), 'run')}"
-    words = f"{lot.chosen}: {counts} at {', '.join(lot.stations)}"
-    return f"{words} (SIMULATED)" if lot.simulated else words
+    description = f"{lot.chosen}: {counts} at {', '.join(lot.stations)}"
+    return f"{description} (SIMULATED)" if lot.simulated else description
 
 
 def limits_toml(proposed: ProposedLimits) -> str:
@@ -179,8 +179,8 @@ def _remarks(proposed: ProposedLimits) -> Iterator[str]:
         yield f"From SIMULATED sensors: {'; '.join(lot.simulated)}"
     if lot.left_out:
         yield f"Left out on request: {', '.join(lot.left_out)}"
-    yield from (f"Taken in although not good: {words}" for words in lot.not_good)
-    yield from (f"Mixed {words}" for words in lot.mixed)
+    yield from (f"Taken in although not good: {remark}" for remark in lot.not_good)
+    yield from (f"Mixed {remark}" for remark in lot.mixed)
     yield from (SIZELESS.format(label=label) for label in proposed.without_size)
     yield from (f"No limit for {refusal.label}: {refusal.why}" for refusal in proposed.not_proposed)
 

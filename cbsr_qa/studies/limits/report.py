@@ -167,8 +167,10 @@ def _notes(proposed: ProposedLimits) -> Iterator[Paragraph]:
     for limit in proposed.limits:
         label = limit.label
         if limit.far_out:
-            bare = limit.without_far_out
-            limits = "none" if bare is None else bare.why or _sides(bare.lower, bare.upper)
+            other_limits = limit.without_far_out
+            limits = (
+                "none" if other_limits is None else other_limits.why or _sides(other_limits.lower, other_limits.upper)
+            )
             yield Paragraph(_FAR.format(label=label, serials=", ".join(limit.far_out), limits=limits), "warning")
         if limit.uncertainty.standard is None:
             yield Paragraph(_NO_GUARD.format(label=label, why=limit.uncertainty.source), "note")

@@ -177,8 +177,8 @@ def show_beside(group: str, name: str, unit: str, paper: Printed, ours: Ours, wh
 def mean_of_deviations(sheet: str, errors: Array) -> Ours:
     """Return the standard deviation of some errors with its standard error for normal values."""
     deviation, count = float(errors.std(ddof=1)), len(errors)
-    of = f"standard error of the deviation of {count} presses; bias {float(errors.mean()):+.2f} N"
-    return Ours(sheet, deviation, deviation / np.sqrt(2 * (count - 1)), of, count)
+    meaning = f"standard error of the deviation of {count} presses; bias {float(errors.mean()):+.2f} N"
+    return Ours(sheet, deviation, deviation / np.sqrt(2 * (count - 1)), meaning, count)
 
 
 def _agree(rule: Rule, paper: Printed, printed: float, ours: Ours, value: float, printed_count: int) -> bool:

@@ -58,9 +58,9 @@ def _table(table: ComparedTable, reproduction: Reproduction) -> Iterator[Block]:
     yield from (Paragraph(note, "note") for note in table.notes)
     yield from _figures(table, reproduction)
     reasons = list(dict.fromkeys(row.reason for row in table.rows if row.reason))
-    shown = len(_COLUMNS) if any(row.paper.band for row in table.rows) else len(_COLUMNS) - 1
-    rows = [_cells(row, reasons)[:shown] for row in table.rows]
-    yield text_table(_NUMBERS, _COLUMNS[:shown], rows, (2, 3, 4))
+    column_count = len(_COLUMNS) if any(row.paper.band for row in table.rows) else len(_COLUMNS) - 1
+    rows = [_cells(row, reasons)[:column_count] for row in table.rows]
+    yield text_table(_NUMBERS, _COLUMNS[:column_count], rows, (2, 3, 4))
     for place, reason in enumerate(reasons):
         yield Paragraph(f"{_letter(place)}: {reason}.".replace("..", "."))
 

@@ -137,8 +137,8 @@ def _settling(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[Compare
         )
         uniform, *bench = _both(sheets, percent)
         for settling in uniform.settlings:
-            beside = [other.ours for sheet in bench for other in sheet.settlings if _alike(other, settling)]
-            yield _settling_row(f"{percent} wt%", settling, printed, beside)
+            bench_values = [other.ours for sheet in bench for other in sheet.settlings if _alike(other, settling)]
+            yield _settling_row(f"{percent} wt%", settling, printed, bench_values)
         for settling in strips[percent].settlings:
             yield _settling_row(f"{percent} wt% in 1D", settling, printed, [])
 
@@ -150,9 +150,9 @@ def _alike(one: SettlingOf, other: SettlingOf) -> bool:
 def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: list[Ours]) -> ComparedRow:
     direction = "loading" if settling.loading else "unloading"
     name = "all strains in one fit" if settling.strain is None else f"{100 * settling.strain:g} % strain"
-    ours = [settling.ours, *beside]
+    our_values = [settling.ours, *beside]
     return compare_value(
-        f"{group}, {direction}", name, "s", ValueOrigin.OUTCOME, Rule.RANGE, printed, ours, why=WHY["settling"]
+        f"{group}, {direction}", name, "s", ValueOrigin.OUTCOME, Rule.RANGE, printed, our_values, why=WHY["settling"]
     )
 
 
@@ -189,6 +189,6 @@ def least_force(sheet: SheetValues) -> Ours:
     floor = sheet.noise_floor
     if floor.value is None:
         return floor
-    each = sheet.head_mm2 / sheet.stress_slope_per_kPa * 1e-3
-    uncertainty = None if floor.uncertainty is None else each * floor.uncertainty
-    return Ours(sheet.sheet, each * floor.value, uncertainty, floor.uncertainty_is, floor.count)
+    newtons_per_unit = sheet.head_mm2 / sheet.stress_slope_per_kPa * 1e-3
+    uncertainty = None if floor.uncertainty is None else newtons_per_unit * floor.uncertainty
+    return Ours(sheet.sheet, newtons_per_unit * floor.value, uncertainty, floor.uncertainty_is, floor.count)

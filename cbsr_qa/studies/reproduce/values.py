@@ -182,8 +182,8 @@ def _noise_floor(run: RunObservation, sheet: str) -> Ours:
         floors.append(float(np.abs(run.reconstruction.images(readings)).max()))
     if len(floors) < 2:
         return Ours(sheet, None, uncertainty_is="too few unloaded frames")
-    of = f"deviation over {len(floors)} sets of {_FLOOR_FRAMES} frames"
-    return Ours(sheet, float(np.mean(floors)), float(np.std(floors, ddof=1)), of, len(floors))
+    meaning = f"deviation over {len(floors)} sets of {_FLOOR_FRAMES} frames"
+    return Ours(sheet, float(np.mean(floors)), float(np.std(floors, ddof=1)), meaning, len(floors))
 
 
 def _grid(run: RunObservation, place: str = "") -> list[LoadObservation]:
@@ -268,8 +268,8 @@ def _settlings(run: RunObservation, measurements: Sequence[Measurement], sheet: 
     loads = [load for load in run.loads if load.phase in phases]
     for loading in (True, False):
         for strain in sorted({load.record.load.strain for load in loads}):
-            here = [load for load in loads if load.record.load.strain == strain]
-            yield SettlingOf(strain, loading, _mean_settling(here, loading, sheet))
+            strain_loads = [load for load in loads if load.record.load.strain == strain]
+            yield SettlingOf(strain, loading, _mean_settling(strain_loads, loading, sheet))
         qualifier = Dimensions("conductance", "loading" if loading else "unloading").text
         together = _run_value(measurements, "common_settling_time", qualifier, sheet, "standard error")
         yield SettlingOf(None, loading, together)

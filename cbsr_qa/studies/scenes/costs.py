@@ -83,9 +83,9 @@ class Watched:
 
     def within(self, work: Callable[[], object]) -> dict[str, float]:
         """Call a function and return the time spent within each effect [s]."""
-        before = dict(self.spent_s)
+        spent_before_s = dict(self.spent_s)
         work()
-        return {name: spent - before.get(name, 0.0) for name, spent in self.spent_s.items()}
+        return {name: spent - spent_before_s.get(name, 0.0) for name, spent in self.spent_s.items()}
 
 
 def measure_costs(
@@ -167,10 +167,10 @@ class _Bench:
     def difference_ms(self, name: str) -> float:
         """Difference between frames with an effect and without it and its dependents; 0 if unclear."""
         effects = self._watched.effects
-        without = _with_dependents(name, effects)
-        kept = tuple(choice for choice in self._plan.scene.effects if choice.name not in without)
-        plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept))
-        same_sheet = not any(effects[each].perturbs == "sheet" for each in without)
+        left_out = _with_dependents(name, effects)
+        kept_effects = tuple(choice for choice in self._plan.scene.effects if choice.name not in left_out)
+        plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept_effects))
+        same_sheet = not any(effects[effect_name].perturbs == "sheet" for effect_name in left_out)
         other = self._world(plan, self._factory, self._plain, same_sheet=same_sheet)
         return 1e3 * _clear([_longer_s(self._plain, other, self._times(index)) for index in self._loaded])
 

@@ -134,9 +134,9 @@ def _on(setup: SceneSetup, watched: Watched, costs: Costs | None) -> Iterator[Ex
 
 
 def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
-    on = {choice.name for choice in setup.plan.scene.effects}
+    active_names = {choice.name for choice in setup.plan.scene.effects}
     for name in plugins.names(Kind.EFFECT):
-        if name in on:
+        if name in active_names:
             continue
         try:
             factory: Any = plugins.factory(Kind.EFFECT, name)
@@ -145,9 +145,9 @@ def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
             continue
         needs, perturbs = getattr(factory, "needs", ()), getattr(factory, "perturbs", "")
         # Unknown before creation if the factory is not a class, or the effect decides when created.
-        known = tuple(needs) if isinstance(needs, tuple | list) else ()
+        known_needs = tuple(needs) if isinstance(needs, tuple | list) else ()
         stage = perturbs if isinstance(perturbs, str) else ""
-        yield ExplainedEffect(name, False, known, stage, 0.0, {}, _does(factory))
+        yield ExplainedEffect(name, False, known_needs, stage, 0.0, {}, _does(factory))
 
 
 def _does(of: object) -> str:

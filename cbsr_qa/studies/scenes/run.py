@@ -212,10 +212,14 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
 def _label_recording(
     recorded: RecordedScene, world: SimulatedWorld, setup: SceneSetup, plugins: Plugins, notes: tuple[str, ...]
 ) -> RecordedScene:
-    on = set(world.chain.names)
-    theirs = {(r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in on}
-    others = sorted(theirs - {("cbsr-qa", cbsr_qa.__version__)})
-    software = ", ".join(f"{name} {version}" for name, version in [("cbsr-qa", cbsr_qa.__version__), *others])
+    active_names = set(world.chain.names)
+    distributions = {
+        (r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in active_names
+    }
+    other_distributions = sorted(distributions - {("cbsr-qa", cbsr_qa.__version__)})
+    software = ", ".join(
+        f"{name} {version}" for name, version in [("cbsr-qa", cbsr_qa.__version__), *other_distributions]
+    )
     simulated = f"scene {setup.plan.scene.name}, seed {world.setting.seed}, {software}"
     return replace(recorded, recording=replace(recorded.recording, notes=notes, simulated=(simulated,)))
 

@@ -73,10 +73,10 @@ class _SoftMasks:
 
     def __init__(self, mesh: Mesh, centres_mm: Array, reach_mm: float) -> None:
         near = neighbours(mesh.nodes_mm, centres_mm, reach_mm)
-        most = max(len(nodes) for nodes in near)
-        self._node = np.array([np.pad(nodes, (0, most - len(nodes))) for nodes in near])
-        there = np.arange(most) < np.array([len(nodes) for nodes in near])[:, None]
-        self._mass = np.where(there, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
+        most_nodes = max(len(nodes) for nodes in near)
+        self._node = np.array([np.pad(nodes, (0, most_nodes - len(nodes))) for nodes in near])
+        is_node = np.arange(most_nodes) < np.array([len(nodes) for nodes in near])[:, None]
+        self._mass = np.where(is_node, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
         self._away = mesh.nodes_mm[self._node] - centres_mm[:, None]
         self._square = (self._away**2).sum(axis=2)
         self._smallest = float(mesh.areas_mm2.mean())  # a mask of one node has zero width
@@ -162,8 +162,8 @@ def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: 
 
     NumericsError if λ is negative, not finite, or too small to determine the image, or a target affects no reading.
     """
-    kept = _recall_results(problem, design)
-    return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).find_matrix(hyperparameter)
+    results = _recall_results(problem, design)
+    return results.matrices.get(hyperparameter) or _Search(problem, design, results).find_matrix(hyperparameter)
 
 
 @dataclass(frozen=True, eq=False)

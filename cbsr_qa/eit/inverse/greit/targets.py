@@ -18,7 +18,7 @@ from cbsr_qa.eit.forward.elements import reaches_mm
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-#: The contour of a target's image that equals its outline: the mask used to judge.
+#: Level, over the peak, at which the contour of a target's image equals its outline: the mask used to judge.
 CONTOUR: Final = 0.85
 _CLOSEST: Final = 0.35  # of the head's radius: closer targets add nothing
 _RESOLVED: Final = 1.5  # edges of the image's elements per width of the head: below, its image is not Gaussian
@@ -56,8 +56,8 @@ class TargetDesign:
             the head, or the head narrower than 1.5 edges of the image's elements.
         """
         head = target_radius_mm(problem) if head_diameter_mm is None else head_diameter_mm / 2
-        others = (head * 8 / 13, head * 20 / 13) if diameters_mm is None else (d / 2 for d in diameters_mm)
-        radii = tuple(sorted({head, *others}))
+        other_radii_mm = (head * 8 / 13, head * 20 / 13) if diameters_mm is None else (d / 2 for d in diameters_mm)
+        radii = tuple(sorted({head, *other_radii_mm}))
         largest = _WIDEST * problem.sensor_type.radius_mm
         for radius in (head, *radii):
             if not 0 < radius <= largest:
@@ -185,8 +185,8 @@ def node_areas_mm2(mesh: Mesh) -> Array:
 
 def neighbours(points_mm: Array, places_mm: Array, reach_mm: float) -> list[Indices]:
     """For each place the indices of the points within reach, rising."""
-    within: Any = cKDTree(points_mm).query_ball_point(places_mm, reach_mm, return_sorted=True)
-    return [np.asarray(near, dtype=np.int64) for near in within]
+    indices_by_place: Any = cKDTree(points_mm).query_ball_point(places_mm, reach_mm, return_sorted=True)
+    return [np.asarray(near, dtype=np.int64) for near in indices_by_place]
 
 
 def _apart(nodes: Array, distance: float) -> Indices:

@@ -27,7 +27,7 @@ from cbsr_qa.eit.inverse.overlap import overlap_fractions
 from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-#: Steps allowed; three to six suffice.
+#: Largest number of steps; three to six suffice.
 MOST_STEPS: Final = 20
 #: Remaining decrease of Φ at convergence: a hundredth of a standard deviation, or a millionth of Φ.
 TOLERANCE: Final = 1e-4
@@ -100,9 +100,11 @@ class SolvedSheet:
 
     def jacobian(self) -> Array:
         """Change of the readings per change of ln γ and ln z, (g, e + electrodes)."""
-        inside = self.model.jacobian_rows(self.drive, self.measure) @ self.share
+        conductance_rows = self.model.jacobian_rows(self.drive, self.measure) @ self.share
         contacts = self.model.contact_jacobian()[self.drive, self.measure]
-        return np.hstack([inside * np.exp(self.state.log_conductance), contacts * np.exp(self.state.log_contact)])
+        return np.hstack(
+            [conductance_rows * np.exp(self.state.log_conductance), contacts * np.exp(self.state.log_contact)]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,12 +202,12 @@ class Linearised:
 
     def step(self, wanted: Array, place: "_Place") -> tuple[Array, Array, float]:
         """Step of θ and of w towards readings, and the fall of Φ it promises."""
-        left = wanted - self.readings + self.jacobian @ place.away
-        coefficients = linalg.cho_solve(self._factor, left)
+        residual = wanted - self.readings + self.jacobian @ place.away
+        coefficients = linalg.cho_solve(self._factor, residual)
         step = self.back @ coefficients - place.away
         weights = self.jacobian.T @ coefficients - place.weights
-        seen = self.jacobian @ step
-        return step, weights, float(seen @ (seen / self.variance) + weights @ step)
+        reading_step = self.jacobian @ step
+        return step, weights, float(reading_step @ (reading_step / self.variance) + weights @ step)
 
     def contact_error(self) -> Array:
         """Standard deviations of ln z after the readings are known, (electrodes,)."""

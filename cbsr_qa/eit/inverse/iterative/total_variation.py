@@ -27,7 +27,7 @@ from cbsr_qa.eit.inverse.priors import neighbour_differences
 
 #: Relative duality gap at which an image is accepted as the minimiser.
 TOLERANCE: Final = 1e-5
-#: Steps allowed; fifteen suffice.
+#: Largest number of steps; fifteen suffice.
 MOST_STEPS: Final = 60
 _BALANCED = 1e-7  # largest deviation from Aᵀ(Ax − y) + Dᵀp = 0 for a meaningful gap, of Aᵀy
 _SHY = 0.99  # of the way to the boundary
@@ -146,9 +146,9 @@ class TotalVariation:
         weights = 1 / (state.up / (alpha - state.dual) + state.down / (alpha + state.dual))
         newton = _Newton(self._rows, self._jumps, self._graph.laplacian(weights), weights)
         predicted = _direction(newton, state, here, alpha, 0.0, 0.0)
-        before = state.complementarity(alpha)
-        after = state.step(predicted, state.room(predicted, alpha)).complementarity(alpha)
-        centring = before * (after / before) ** 3
+        complementarity = state.complementarity(alpha)
+        predicted_complementarity = state.step(predicted, state.room(predicted, alpha)).complementarity(alpha)
+        centring = complementarity * (predicted_complementarity / complementarity) ** 3
         corrected = _direction(
             newton,
             state,
@@ -221,9 +221,9 @@ class _Here:
     @classmethod
     def evaluate(cls, state: _State, rows: Array, jumps: sparse.csr_matrix, readings: Array) -> "_Here":
         residual = rows @ state.image - readings
-        across = jumps @ state.image
+        jump = jumps @ state.image
         imbalance = rows.T @ residual + jumps.T @ state.dual
-        return cls(residual, imbalance, across - state.up + state.down, across)
+        return cls(residual, imbalance, jump - state.up + state.down, jump)
 
     def gap(self, alpha: float, readings: Array) -> float:
         """Return P − D of P, where D(r) = −½‖r‖² − rᵀy for the residual r that p balances."""

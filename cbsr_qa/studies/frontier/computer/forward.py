@@ -50,9 +50,9 @@ REPEATS: Final = 7
 
 def time_call(run: Callable[[], T]) -> tuple[T, float]:
     """Run once and return the result and the processor time [s]; with several threads, the sum over them."""
-    before = time.process_time()
+    start_s = time.process_time()
     result = run()
-    return result, time.process_time() - before
+    return result, time.process_time() - start_s
 
 
 def fastest_s(run: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -148,8 +148,8 @@ def _pin_errors(model: ForwardModel) -> dict[str, float]:
 
 
 def _error(model: ForwardModel, exact: Array) -> float:
-    used = model.pattern.usable()
-    return float(np.linalg.norm((model.voltages() - exact)[used]) / np.linalg.norm(exact[used]))
+    is_usable = model.pattern.usable()
+    return float(np.linalg.norm((model.voltages() - exact)[is_usable]) / np.linalg.norm(exact[is_usable]))
 
 
 @cache

@@ -82,8 +82,8 @@ def list_methods() -> Iterator[MethodSetting]:
         except CbsrError:
             continue
         one_matrix = get_type_hints(getattr(factory, "prepare", object)).get("return") is LinearReconstruction
-        known = options_of(factory).model_fields if one_matrix else {}
-        yield MethodSetting(name, (), next((option for option in FACTORS if option in known), ""))
+        known_options = options_of(factory).model_fields if one_matrix else {}
+        yield MethodSetting(name, (), next((option for option in FACTORS if option in known_options), ""))
 
 
 def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
@@ -157,8 +157,8 @@ def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
 def make_method(method: MethodSetting, **instead: float) -> Reconstruction:
     """The method with its options; a given option replaces those by which λ is chosen."""
     options = {name: value for name, value in method.options if not (instead and name in _CHOOSING)}
-    made: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
-    return made
+    method_instance: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
+    return method_instance
 
 
 def _problem(image_size_mm: float = USUAL_IMAGE_SIZE_MM, seeds: int = 1) -> ImagingProblem:
@@ -201,8 +201,8 @@ def precision_point(precision: str, batch: int) -> Point:
     block = np.resize(changes, (batch, changes.shape[1]))
     apply = make_imager(matrix, precision)
     exact = changes.astype(np.longdouble) @ matrix.astype(np.longdouble).T
-    parts = [changes[first : first + batch] for first in range(0, len(changes), batch)]
-    images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in parts]
+    batches = [changes[first : first + batch] for first in range(0, len(changes), batch)]
+    images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in batches]
     size = np.dtype(precision).itemsize
     return Point(
         TimeBasis.COMPUTER,
@@ -231,8 +231,8 @@ def make_imager(matrix: Array, precision: str) -> Callable[[Array], Floats]:
 
 def relative_error(images: Floats, exact: Floats) -> float:
     """Largest ‖x − x₀‖/‖x₀‖ of images (n, e)."""
-    apart, size = (np.sqrt((part**2).sum(axis=1)) for part in (images - exact, exact))
-    return float((apart / size).max())
+    error_norm, size = (np.sqrt((part**2).sum(axis=1)) for part in (images - exact, exact))
+    return float((error_norm / size).max())
 
 
 @cache

@@ -106,8 +106,8 @@ _FIGURES: Final[dict[str, tuple[str, str, Better]]] = {
 def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadings) -> dict[str, Accuracy]:
     """Return mean E_CoM, A_OL and SD over the nine places with standard errors, and the share of loads missed.
 
-    As a run of the shipped recipes does: changes against the mean of the reference frames, the noise floor of the
-    unloaded images subtracted, the 85 % mask bounded by a contour, the region nearest to the head.
+    The steps are those of a run with a shipped recipe: changes against the mean of the reference frames, the noise
+    floor of the unloaded images subtracted, the 85 % mask bounded by a contour, the region nearest to the head.
     """
     sensors = [_sensor(prepared, readings, number) for number in range(len(readings.loaded))]
     figures_by_sensor = [[figures for figures in sensor if figures is not None] for sensor in sensors]

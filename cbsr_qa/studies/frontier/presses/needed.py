@@ -15,13 +15,13 @@ PLACE: Final = "place_error"
 COVERED: Final = {"68": "covered_68", "95": "covered_95"}
 #: Least number of points for a power law: two parameters, and two to contradict them.
 _FEWEST_FITTED: Final = 4
-#: A law fits unless deviations as large as its own are less probable than this.
+#: Probability of deviations as large as a law's own, below which the law does not fit.
 _FITS: Final = 0.05
-#: Least exponent, over its standard error, of errors that decrease.
+#: Smallest ratio of the exponent to its standard error for errors that decrease.
 _FALLS: Final = 2.0
-#: Standard errors by which regions hold less than they state before that is said.
+#: Number of standard errors by which a region must hold less than it states to be reported.
 _CLEARLY: Final = 2.0
-#: Extrapolation is limited to this factor of the largest number tried.
+#: Largest extrapolation, as a factor of the largest number tried.
 _FURTHEST: Final = 8.0
 
 
@@ -83,8 +83,8 @@ def extrapolate_presses(points: Sequence[Point], target_mm: float) -> tuple[Need
     law_words = f"errors fall with the number to the power of −{-power:.2f} ± {np.sqrt(covariance[0, 0]):.2f}"
     if high > _FURTHEST * _number(points[-1]):
         return None, f"{law_words}, by which more than {_FURTHEST:g} times as many might be needed: too far to tell"
-    words = f"{law_words}, by which about {middle} would ({low} to {high}: one standard error)"
-    return Needed(middle, low, high), words
+    description = f"{law_words}, by which about {middle} would ({low} to {high}: one standard error)"
+    return Needed(middle, low, high), description
 
 
 def _power_law(points: Sequence[Point]) -> tuple[Array, Array, float] | None:

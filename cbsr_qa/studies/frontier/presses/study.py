@@ -1,8 +1,8 @@
 """``cbsr-qa frontier --recording``: how accurate places become with the number of presses, and how many to make.
 
 Every draw is registered and learned from its own presses alone, as ``cbsr-qa calibrate`` would do with these, so that
-nothing of the presses located is known. Registering takes half the time of a draw of 39 presses and a tenth of one of
-400, which registering once on all presses would save.
+it uses no information from the presses that it locates. Registering takes half the time of a draw of 39 presses, and
+a tenth of one of 400; registering once on all presses would save this time.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,15 +26,15 @@ from cbsr_qa.studies.sweep import Tell
 
 AT_RANDOM: Final = "drawn at random"
 IN_ORDER: Final = "first of the session, locating its last"
-#: The smallest number that is tried, unless there are too few presses; further ones are about twice as large.
+#: Smallest number of presses tried, unless there are too few; each further number is about twice as large.
 _FIRST: Final = 9
-#: The largest: the time of learning grows with its cube.
+#: Largest number of presses tried: the time of learning grows with its cube.
 _MOST: Final = 2000
-#: Share of the presses that is left out at least, their smallest number, and how many of them are located.
+#: Least share and least number of the presses that are left out, and the largest number of them that are located.
 _LEFT_OUT: Final = 0.2
 _FEWEST_LOCATED: Final = 5
 _MOST_LOCATED: Final = 500
-#: Draws of a number: so many presses in all, within these bounds; of the quick sweep, and of the whole.
+#: Total of presses learned from over the draws of a number, and least and most draws: quick sweep (True) or whole.
 _LEARNED: Final = {True: 100, False: 400}
 _DRAWS: Final = {True: (1, 3), False: (2, 20)}
 
@@ -184,13 +184,13 @@ def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: floa
 def _mean(trials: Sequence[Trial], values: Sequence[Array], unit: str, better: Better) -> Accuracy:
     """Mean over draws, with a standard error of both: of draws, and of the presses that they locate.
 
-    Draws locate the same presses again and again, which are as many as there are different ones: of k draws with a
-    variance within draws σ² and one of their means s², it is √(max(0, s² − σ²/n)/k + σ²/N), where n presses are
-    located in a draw and N different ones in all. One draw cannot show what others would scatter by.
+    Draws locate the same presses repeatedly, and each press counts once: for k draws with a variance σ² within draws
+    and s² of their means, it is √(max(0, s² − σ²/n)/k + σ²/N), where n presses are located in a draw and N different
+    ones in all. One draw does not show how others would scatter.
     """
-    means = [float(each.mean()) for each in values]
-    within_variance = float(np.mean([each.var(ddof=1) for each in values]))
-    press_count = len(np.unique(np.concatenate([each.located for each in trials])))
+    means = [float(draw.mean()) for draw in values]
+    within_variance = float(np.mean([draw.var(ddof=1) for draw in values]))
+    press_count = len(np.unique(np.concatenate([draw.located for draw in trials])))
     between_variance = 0.0
     if len(means) > 1:
         between_variance = max(0.0, float(np.var(means, ddof=1)) - within_variance / len(trials[0].located))

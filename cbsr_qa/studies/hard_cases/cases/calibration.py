@@ -41,8 +41,8 @@ _PROCESSES: Final = 12  # of a map, that are held against truth: fifty digits ta
 
 def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
     """Slope of a line through loads at six strains, against weighted least squares in fifty digits."""
-    given = None if stderr is None else stderr.tolist()
-    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), change.tolist(), given)
+    stderr_list = None if stderr is None else stderr.tolist()
+    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), change.tolist(), stderr_list)
     weighted = x, change, np.ones_like(x) if stderr is None else stderr
     return answer_from_condition(relative_error(fit.slope, exact_line(*weighted)[0]), line_condition(*weighted))
 
@@ -102,8 +102,8 @@ def weights_twenty_four_powers_of_ten_apart() -> Answer:
 def material_that_does_not_answer() -> Answer:
     """Changes that are zero at every load: no scatter and no size to take an error from."""
     fit = fit_quasi_static(_STRAINS.tolist(), _STRAINS.tolist(), [0.0] * 6)
-    wrong = abs(fit.slope) + abs(fit.intercept)
-    return Answer(wrong if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
+    error = abs(fit.slope) + abs(fit.intercept)
+    return Answer(error if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
 
 
 @AREA.against("σ/√n, that of a mean of six")

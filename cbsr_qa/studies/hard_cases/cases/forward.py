@@ -82,7 +82,7 @@ def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answe
     )
     error = float((np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
     condition = 2 * reading_condition(model)
-    # What potentials that are not refined lose within good conductors, where fields are faint; else nothing.
+    # Error of unrefined potentials within good conductors, where fields are faint; zero for refined ones.
     conductance_ratio = float(
         max(model.conductance.max(), (model.prepared.contacts.lengths_mm / contacts).max()) / model.conductance.min()
     )
@@ -200,10 +200,13 @@ def sensitivity_to_perfect_contacts() -> Answer:
 def derivatives_over_8_decades() -> Answer:
     """Sensitivities of elements whose conductances lie eight decades apart."""
     model = small_model().with_values(conductance=scatter_conductance(8.0))
-    used = model.pattern.usable()
-    voltages = model.voltages()[used]
-    whole = model.jacobian()[used] @ model.conductance - model.contact_jacobian()[used] @ model.contact_impedance
-    return answer_from_condition(apart(-whole, voltages), reading_condition(model))
+    is_usable = model.pattern.usable()
+    voltages = model.voltages()[is_usable]
+    summed = (
+        model.jacobian()[is_usable] @ model.conductance
+        - model.contact_jacobian()[is_usable] @ model.contact_impedance
+    )
+    return answer_from_condition(apart(-summed, voltages), reading_condition(model))
 
 
 @AREA.refuses(ValueRangeError, "the refusal, by the elements and their conductances")

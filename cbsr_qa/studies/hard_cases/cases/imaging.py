@@ -129,9 +129,9 @@ def touching_blobs() -> Answer:
     y, x = np.mgrid[:40, :40]
     slopes = sum(np.exp(-((x - at) ** 2 + (y - 20) ** 2) / 18.0) for at in (15, 24))
     raster = Raster(np.asarray(slopes), 1.0, (0.0, 0.0))
-    parts = split_touching(raster, 0.25, 6.0)
-    apart = abs(sum(float(part.centre_mm()[0]) for part in parts) / 2 - 19.5) if len(parts) == 2 else 40.0
-    return answer_from_condition(abs(corners - 2) + abs(len(parts) - 2) + apart, 20.0, unit="loads and pixels")
+    blobs = split_touching(raster, 0.25, 6.0)
+    centre_error = abs(sum(float(part.centre_mm()[0]) for part in blobs) / 2 - 19.5) if len(blobs) == 2 else 40.0
+    return answer_from_condition(abs(corners - 2) + abs(len(blobs) - 2) + centre_error, 20.0, unit="loads and pixels")
 
 
 @AREA.against("no region")
@@ -179,5 +179,5 @@ def centre_of_mass_far_from_the_origin() -> Answer:
 def noise_floor_of_identical_images() -> Answer:
     """Unloaded images without any noise: a floor that equals every value."""
     images = np.full((8, _SIDE**2), 0.1 + 0.2)
-    left = subtract_noise_floor(images[0], noise_floor(images))
-    return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")
+    remaining_image = subtract_noise_floor(images[0], noise_floor(images))
+    return Answer(float(np.abs(remaining_image).max()), 0.0, unit="relative conductance change")

@@ -239,5 +239,5 @@ def force_where_the_response_is_1e13() -> Answer:
 def strengths_no_contrast_has() -> Answer:
     """κ = 2a/(2 − a) has a pole at a strength of 2, and is negative beyond."""
     forces = np.array([newtons(strength, 0.0) for strength in (1.0, 1.9, 2.0, 2.5, 1e12)])
-    wrong = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
-    return Answer(float(wrong), 0.0, unit="wrong statements")
+    wrong_count = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
+    return Answer(float(wrong_count), 0.0, unit="wrong statements")

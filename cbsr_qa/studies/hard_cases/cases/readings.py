@@ -107,9 +107,9 @@ def scale_from_an_offset_of_1e6_signals() -> Answer:
     """The unloaded frame lies on such an offset, and changes are to be taken over its scale."""
     problem, reference, _ = _frames()
     offset = 1e6 * _SIGNAL * float(np.abs(reference).max())
-    wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
-    wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
-    return Answer(float(sum(wrong)), 0.0, unit="wrong statements", note="the bound is zero")
+    is_wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
+    is_wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
+    return Answer(float(sum(is_wrong)), 0.0, unit="wrong statements", note="the bound is zero")
 
 
 @AREA.against("the noise without the offset, exactly")
@@ -270,9 +270,9 @@ def frame_with_nan() -> None:
 @AREA.refuses(NumericsError, "the refusal, by how many are left and needed")
 def seven_readings_left() -> None:
     """So many channels are masked that seven independent readings are left for two thousand elements."""
-    used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
-    used[0, 2:9] = True
-    imaging_problem(usual_sensor(), used=used, image_size_mm=IMAGE_MM)
+    is_used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
+    is_used[0, 2:9] = True
+    imaging_problem(usual_sensor(), used=is_used, image_size_mm=IMAGE_MM)
 
 
 @AREA.refuses(NumericsError, "the refusal, by the readings left")

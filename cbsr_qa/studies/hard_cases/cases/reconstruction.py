@@ -46,9 +46,9 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
     rows = fold.rows(problem.jacobian)
     sizes = linalg.svdvals(rows / np.sqrt(fold.variance)[:, None] / np.sqrt(weights))
     value = relative * float(sizes[0])
-    given = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
+    options = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
     readings = _changes(problem)
-    computed = prepare_method(name, problem, given).images(readings[None])[0]
+    computed = prepare_method(name, problem, options).images(readings[None])[0]
     folded = fold.fold(readings[None])[0]
     exact = exact_image(rows, weights, value, fold.variance, folded)
     condition = ridge_condition(sizes, value)
