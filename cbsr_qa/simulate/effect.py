@@ -46,6 +46,6 @@ def check_at_most(name: str, value: float, most: float, why: str) -> None:
 
 def check_electrode(name: str, value: int, setting: SceneSetting) -> None:
     """Refuse an electrode that the sensor type lacks (ConfigError)."""
-    last = setting.sensor_type.electrodes.count - 1
-    if value > last:
-        raise ConfigError(f"{name} is {value}", remedy=f"electrodes are numbered from 0 to {last}")
+    last_number = setting.sensor_type.electrodes.count - 1
+    if value > last_number:
+        raise ConfigError(f"{name} is {value}", remedy=f"electrodes are numbered from 0 to {last_number}")

@@ -72,8 +72,8 @@ class SimulatedFrame:
     Parameters
     ----------
     voltages : (drives, measures) [V].
-    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.frames.ReadingFlag`.
-    time_s : (drives, measures) of each reading on the station's clock; None if all are simultaneous.
+    flags : (drives, measures) uint8 flags of :class:`cbsr_qa.domain.readings.frames.ReadingFlag`.
+    time_s : (drives, measures) time of each reading on the station's clock; None if all are simultaneous.
     current_A : (drives, measures) current during each reading.
     drive_ohm : (drives, measures) resistance of its driven pair at that time.
     """

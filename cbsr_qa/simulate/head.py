@@ -108,11 +108,11 @@ class PressWriter:
 
     def _cut(self, time_s: float) -> SimulatedPress:
         """Replace the last press by a new object that ends now, so references to the old one stay distinct."""
-        old = self._sheet.presses[-1]
-        steps = [_cut_ramp(step, time_s) for step in old.steps if step.start_s < time_s]
-        new = SimulatedPress(old.index, old.x_mm, old.y_mm, steps)
-        self._sheet.presses[-1] = new
-        return new
+        old_press = self._sheet.presses[-1]
+        steps = [_cut_ramp(step, time_s) for step in old_press.steps if step.start_s < time_s]
+        new_press = SimulatedPress(old_press.index, old_press.x_mm, old_press.y_mm, steps)
+        self._sheet.presses[-1] = new_press
+        return new_press
 
     def _arrival(self, to: HeadPosition, time_s: float) -> HeadPosition:
         self._movements += 1

@@ -99,7 +99,7 @@ def individuals(
 
     Parameters
     ----------
-    values : (n,) in their order; σ is the reference's mean moving range over d₂.
+    values : (n,) values in their order; σ is the reference's mean moving range over d₂.
     rules : Nelson's tests to apply.
 
     Raises

@@ -38,7 +38,7 @@ class Fit:
     Parameters
     ----------
     p_value : p value of the Shapiro–Wilk test.
-    refuted : whether it is below the requested level.
+    refuted : whether the p value is below the requested level.
     distribution : distribution of single values.
     """
 
@@ -91,7 +91,7 @@ class Ask:
     ----------
     coverage, confidence : shares between 0 and 1.
     lower, upper : whether each bound is required; at least one is.
-    distribution : used unless the lot rejects it; None for the widest bound of those it does not reject.
+    distribution : distribution to use unless the lot rejects it; None for the widest bound of those not rejected.
     """
 
     coverage: float
@@ -196,17 +196,17 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
             return LotLimits(why=why)
     # Distributions to try: a quantity that can be negative is not log-normal.
     positive = min(min(sensor) for sensor in smallest) > 0
-    both = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
-    looked_at = tuple(one for one in both if ask.distribution in (None, one))
+    possible = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
+    looked_at = tuple(one for one in possible if ask.distribution in (None, one))
     lower = _find_bound(smallest, looked_at, values, ask, -1) if ask.lower else None
     upper = _find_bound(largest, looked_at, values, ask, +1) if ask.upper else None
-    out = _all_far_out(smallest, largest, (lower, upper))
+    far_sensors = _all_far_out(smallest, largest, (lower, upper))
     refused = next((side for side in (lower, upper) if isinstance(side, str)), "")
     if refused:
-        return LotLimits(why=refused, far_out=out)
+        return LotLimits(why=refused, far_out=far_sensors)
     assert not isinstance(lower, str)
     assert not isinstance(upper, str)
-    return LotLimits(lower, upper, far_out=out)
+    return LotLimits(lower, upper, far_out=far_sensors)
 
 
 def _nothing_to_go_by(runs: Runs) -> str:

@@ -85,7 +85,7 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     values : finite numbers below 1e150 in magnitude.
     what : whose they are, for messages.
     least : smallest number of values.
-    spread : whether they must differ.
+    spread : whether the values must differ.
 
     Raises
     ------
@@ -186,10 +186,10 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
 
 def subtract_mean(array: Array) -> tuple[float, Array]:
     """Return the mean of (n,) values and the deviations from it, corrected for the mean's rounding."""
-    near = fsum(array) / len(array)
-    away = array - near
-    correction = fsum(away) / len(array)
-    return near + correction, away - correction
+    approximate_mean = fsum(array) / len(array)
+    deviations = array - approximate_mean
+    correction = fsum(deviations) / len(array)
+    return approximate_mean + correction, deviations - correction
 
 
 def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95, what: str = "values") -> Quantile:
@@ -242,12 +242,12 @@ def smallest(enough: Callable[[int], bool], above: int, most: int, beyond: str) 
 
     NumericsError with the message ``beyond`` if more than ``most`` would be needed.
     """
-    fewer, count = above, 2 * above
+    insufficient, count = above, 2 * above
     while not enough(count):
-        fewer, count = count, 2 * count
+        insufficient, count = count, 2 * count
         if count > most:
             raise NumericsError(beyond)
-    while count - fewer > 1:
-        middle = (count + fewer) // 2
-        fewer, count = (fewer, middle) if enough(middle) else (middle, count)
+    while count - insufficient > 1:
+        middle = (count + insufficient) // 2
+        insufficient, count = (insufficient, middle) if enough(middle) else (middle, count)
     return count

@@ -25,11 +25,11 @@ class Components:
 
     Parameters
     ----------
-    sensors : how many.
+    sensors : number of sensors.
     mean : mean of the sensors' means, each with equal weight however often it was run.
     between : variance of the sensors' means.
     within : variance between runs of one sensor; None if no sensor was run twice.
-    repeats : its degrees of freedom.
+    repeats : degrees of freedom of ``within``.
     share : share of ``within`` that the sensors' means average away: 1 − 1/r̃, r̃ the harmonic mean of runs a sensor.
     """
 
@@ -54,7 +54,7 @@ class Components:
         Parameters
         ----------
         coverage, confidence : shares between 0 and 1.
-        values : each number is the largest of this many normal ones, see :mod:`cbsr_qa.stats.worst_value`.
+        values : number of normal values of which each number is the largest, see :mod:`cbsr_qa.stats.worst_value`.
         """
         quantile = worst_of(values).quantile(coverage)
         raised = skewness_ratio(coverage, confidence, values, self.sensors)

@@ -127,7 +127,7 @@ def several_recipes(recipes: Collection[str]) -> str:
 
 
 def measuring_digest(configuration: str, adopted: str = "") -> str:
-    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation.
+    """SHA-256 of the parts of a stored configuration that affect numbers: neither limits nor a simulation's seed.
 
     Parameters
     ----------

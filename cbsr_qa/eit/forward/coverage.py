@@ -58,7 +58,7 @@ class Cover:
 
         Parameters
         ----------
-        conductance : (e,) of all elements without the load [S].
+        conductance : (e,) conductance of all elements without the load [S].
         relative : change of the covered material, above −1: one, or (k,).
 
         Returns
@@ -99,9 +99,9 @@ class Cover:
 def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
     """Area of each element covered by a load of any outline, exactly; triangles are taken as straight."""
     mesh = elements.mesh
-    near = elements_near(elements, footprint)
-    share = shares(footprint, mesh.corners_mm[near])
-    touched = near[share > 1e-12]
+    near_elements = elements_near(elements, footprint)
+    share = shares(footprint, mesh.corners_mm[near_elements])
+    touched = near_elements[share > 1e-12]
     share = np.minimum(share[share > 1e-12], 1.0)
     points = elements.shapes.points
     spread = np.repeat(share[:, None], len(points), axis=1)
@@ -195,7 +195,7 @@ class NestedCover:
 
         Parameters
         ----------
-        conductance : (e,) of all elements without the load [S].
+        conductance : (e,) conductance of all elements without the load [S].
         relative : change where the level is one, or (k,).
 
         Returns
@@ -235,26 +235,30 @@ def cover_by_nested_outlines(
     ----------
     largest : the largest outline.
     centre_mm : about which the others are smaller.
-    sizes : (j,) of the outlines over the largest's, at most 1, falling.
+    sizes : (j,) sizes of the outlines over the largest's, at most 1, falling.
     weights : (j,) strength that each adds inside it.
     """
     mesh, centre = elements.mesh, np.array(centre_mm)
-    near = elements_near(elements, largest)
+    near_elements = elements_near(elements, largest)
     # A smaller outline covers an element as the largest one covers a larger element.
-    grown = (mesh.corners_mm[near] - centre) / sizes[:, None, None, None] + centre
-    share = np.minimum(shares(largest, grown.reshape(-1, 3, 2)).reshape(len(sizes), -1), 1.0)
+    grown_corners = (mesh.corners_mm[near_elements] - centre) / sizes[:, None, None, None] + centre
+    share = np.minimum(shares(largest, grown_corners.reshape(-1, 3, 2)).reshape(len(sizes), -1), 1.0)
     is_touched = share.max(axis=0) > 1e-12
-    share, grown, near = share[:, is_touched], grown[:, is_touched], near[is_touched]
+    share, grown_corners, near_elements = (
+        share[:, is_touched],
+        grown_corners[:, is_touched],
+        near_elements[is_touched],
+    )
     points = elements.shapes.points
     spread = np.repeat(share[..., None], len(points), axis=-1)
     is_cut = (share > 1e-12) & (share < WHOLE)
     if elements.order == 2:
-        line = slopes(largest, grown[is_cut], share[is_cut]) @ (points - 1 / 3).T
+        line = slopes(largest, grown_corners[is_cut], share[is_cut]) @ (points - 1 / 3).T
         spread[is_cut] += _limit_sum(line, share[is_cut])
-    normals = np.zeros((len(near), len(points), 2))
+    normals = np.zeros((len(near_elements), len(points), 2))
     is_ever_cut = is_cut.any(axis=0)
-    normals[is_ever_cut] = outline_normals(largest, mesh.corners_mm[near[is_ever_cut]], points)
-    return NestedCover(near, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), normals)
+    normals[is_ever_cut] = outline_normals(largest, mesh.corners_mm[near_elements[is_ever_cut]], points)
+    return NestedCover(near_elements, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), normals)
 
 
 def _layers(spread: Array) -> Array:

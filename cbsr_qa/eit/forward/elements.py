@@ -24,7 +24,7 @@ class Shapes:
     ----------
     points : (q, 3) points inside a triangle, of equal weight.
     slopes : (q, k, 2) derivatives by the second and by the third barycentric coordinate.
-    edge_weights : (g,) of the points along an edge, with sum 1.
+    edge_weights : (g,) weights of the points along an edge, with sum 1.
     edge_values, edge_slopes : (g, b) functions of the edge and their derivatives from end to end.
     """
 
@@ -74,7 +74,7 @@ class FiniteElements:
 
     Parameters
     ----------
-    mesh : its nodes come first.
+    mesh : mesh whose nodes come first.
     order : 1, the mesh's triangles; or 2, with the middles of edges as further nodes, following the mesh's arcs
         (isoparametric).
 

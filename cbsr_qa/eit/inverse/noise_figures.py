@@ -41,7 +41,7 @@ def noise_figure(
     matrix : (e, m) R.
     signal : (m,) y of a small central target.
     areas : (e,) weights A of the image, in any unit.
-    noise_variance : (m,) of the readings, for the 2009 form only; None for equal noise on every channel.
+    noise_variance : (m,) variance of the readings, for the 2009 form only; None for equal noise on every channel.
     form : 2009: (mean|y| / √mean v) / (mean|A R y| / √(Σ(A R)² v / e)).
         EIDORS: noise on one channel c at a time, deviations with the mean removed over channels or elements and
         ddof 1, (mean|y| / mean_c std(n_c)) / (mean|A R y| / mean_c std(A R n_c)).

@@ -50,7 +50,7 @@ def ridge_reconstruction(
     ----------
     method : name of the plugin.
     prior_of : makes the prior of a problem's image.
-    regularisation : how λ is chosen.
+    regularisation : choice of λ.
 
     Returns
     -------
@@ -144,7 +144,7 @@ class RidgeCurves:
     Parameters
     ----------
     values : (k,) eigenvalues Λ, not negative.
-    coefficients : (n, k) of n frames of readings, in units of their noise up to a common factor.
+    coefficients : (n, k) coefficients of n frames of readings, in units of their noise up to a common factor.
 
     Raises
     ------

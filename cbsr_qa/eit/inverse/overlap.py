@@ -20,8 +20,8 @@ class Pieces:
     Parameters
     ----------
     fine, coarse : (p,) int64, the elements.
-    areas_mm2 : (p,) of the overlaps.
-    centroids_mm : (p, 2) of the same.
+    areas_mm2 : (p,) areas of the overlaps.
+    centroids_mm : (p, 2) centroids of the overlaps.
     """
 
     fine: Indices
@@ -74,11 +74,11 @@ def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
 def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
     """Pairs of elements whose bounding circles meet."""
     reach = [reaches_mm(mesh) for mesh in (fine, coarse)]
-    near = cKDTree(coarse.centroids_mm).query_ball_point(
+    elements_near = cKDTree(coarse.centroids_mm).query_ball_point(
         fine.centroids_mm, reach[0] + reach[1].max(), return_sorted=True
     )
-    fine_element = np.repeat(np.arange(len(near)), [len(elements) for elements in near])
-    coarse_element = np.concatenate([np.asarray(elements, dtype=np.int64) for elements in near])
+    fine_element = np.repeat(np.arange(len(elements_near)), [len(elements) for elements in elements_near])
+    coarse_element = np.concatenate([np.asarray(elements, dtype=np.int64) for elements in elements_near])
     distance_mm = np.hypot(*(fine.centroids_mm[fine_element] - coarse.centroids_mm[coarse_element]).T)
     meet = distance_mm < reach[0][fine_element] + reach[1][coarse_element]
     return fine_element[meet], coarse_element[meet]

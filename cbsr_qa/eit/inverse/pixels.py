@@ -33,7 +33,7 @@ class PixelImaging:
     ----------
     pixels : on each side.
     pitch_mm : width of a pixel.
-    first_mm : (x, y) of the centre of pixel [0, 0]; rows rise with y, columns with x.
+    first_mm : place (x, y) of the centre of pixel [0, 0]; rows rise with y, columns with x.
     places : (p,) pixels that cover some of the sheet, in C order; all others are zero.
     matrix : (pixels², g) float32, from folded readings.
     inner : (p, g) its non-zero rows, which suffice for one frame and fit a core's cache.

@@ -37,7 +37,7 @@ class ReadingFold:
     first : (g,) int64, first reading of each group.
     sign : (m,) float64, +1 or −1 relative to the first reading of the group.
     weight : (m,) float64, sign times share in the mean; magnitudes sum to one in each group.
-    variance : (g,) float64 of the means, relative as the problem's.
+    variance : (g,) float64 variance of the means, relative as the problem's.
     """
 
     group: Indices

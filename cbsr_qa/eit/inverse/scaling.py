@@ -19,7 +19,7 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
 
     Parameters
     ----------
-    reference_voltages : (drives, measures) of the unloaded sensor; only used readings matter.
+    reference_voltages : (drives, measures) voltages of the unloaded sensor; only used readings matter.
 
     Raises
     ------

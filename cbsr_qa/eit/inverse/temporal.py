@@ -49,7 +49,7 @@ def smooth(readings: Array, values: Array, ridge: float, correlation: Correlatio
 
     Parameters
     ----------
-    readings : (n, k) of the eigenvectors, in the order of the frames.
+    readings : (n, k) coefficients of the eigenvectors, in the order of the frames.
     values : (k,) Λ ≥ 0. ridge : λ² > 0.
 
     Returns

@@ -28,7 +28,7 @@ class Truncation:
 
     Parameters
     ----------
-    problem : its readings are folded first.
+    problem : problem whose readings are folded first.
     """
 
     def __init__(self, problem: ImagingProblem) -> None:
@@ -68,26 +68,26 @@ class Truncation:
         """
         variance = self._problem.noise_variance
         louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))
-        reached = louder * self.noise_figures(self.shown)
-        enough = np.flatnonzero(reached <= target)
-        if not enough.size:
+        figures = louder * self.noise_figures(self.shown)
+        allowed = np.flatnonzero(figures <= target)
+        if not allowed.size:
             raise NumericsError(
                 f"no number of components reaches noise figure {target:.3g} with the remaining readings; the"
-                f" least is {reached.min():.3g}",
+                f" least is {figures.min():.3g}",
                 remedy="give a larger noise figure or the number of components itself, or repair bad channels",
             )
-        return int(self.cuts[enough[-1]])
+        return int(self.cuts[allowed[-1]])
 
     def matrix(self, components: int) -> Array:
         """Imaging matrix (e, m); NumericsError for too many components, or if a pair would be split."""
         if components not in self.cuts:
-            near = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
+            nearest_cuts = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
             count = len(self._values)
             raise NumericsError(
                 f"components is {components}; allowed: 1 to {count}"
                 if not 1 <= components <= count
                 else f"{components} components split a pair of equal singular values",
-                remedy=f"keep {' or '.join(str(number) for number in sorted(near))}",
+                remedy=f"keep {' or '.join(str(number) for number in sorted(nearest_cuts))}",
             )
         kept_components = slice(None, components)
         images = self._spectrum.basis[:, kept_components] / self._values[kept_components]

@@ -45,10 +45,10 @@ class MaskingEffect:
         unit_mm, unit = (1.0, "mm") if radius_mm is None else (radius_mm, "radii")
         x, y = self.worst_x_mm / unit_mm, self.worst_y_mm / unit_mm
         numbers = [str(number) for number in self.electrodes]
-        listed = ", ".join(numbers[:-1]) + f" and {numbers[-1]}" if len(numbers) > 1 else "".join(numbers)
-        named = f"electrode{'s' if len(numbers) > 1 else ''} {listed}" if numbers else "some readings"
+        number_list = ", ".join(numbers[:-1]) + f" and {numbers[-1]}" if len(numbers) > 1 else "".join(numbers)
+        left_out = f"electrode{'s' if len(numbers) > 1 else ''} {number_list}" if numbers else "some readings"
         return (
-            f"images are made without {named}, from {self.left} of {self.of} readings: the place of a load is"
+            f"images are made without {left_out}, from {self.left} of {self.of} readings: the place of a load is"
             f" {self.typical:.1f} times as uncertain as with all of them (median over the sheet), at"
             f" ({x:.2g}, {y:.2g}) {unit} {self.worst:.1f} times"
             + (f"; {self.hardly_seen:.0%} of the sheet is hardly seen" if self.hardly_seen else "")

@@ -164,7 +164,7 @@ class DeepTank:
         ----------
         places : (p, 2), in units of the tank's radius; inside 0.95.
         radius : radius of the balls.
-        conducts : whether they are perfect conductors or insulators.
+        conducts : True for perfect conductors, False for insulators.
 
         Returns
         -------

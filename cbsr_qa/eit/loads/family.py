@@ -75,7 +75,7 @@ class StackedSeries(Sized):
     Parameters
     ----------
     series : series of the change of each load, (k, q, 2, 2) each.
-    places : (k,) int64 of each, indices of its elements among all.
+    places : (k,) int64 indices of the elements of each load among all.
     shape : (all elements, q, 2, 2).
     """
 
@@ -178,15 +178,15 @@ class Patch:
         """Coefficients of the strengths (n, b, b), and of their products, pair by pair (n (n + 1)/2, b, b)."""
         count, step = len(self.families), WEAK
         unit = step * np.eye(count)
-        up, down = (np.array([self._exact((sign * row).tolist()) for row in unit]) for sign in (1, -1))
+        raised, lowered = (np.array([self._exact((sign * row).tolist()) for row in unit]) for sign in (1, -1))
         pairs = []
         for i, j in zip(*np.triu_indices(count), strict=True):
             if i == j:
-                pairs.append((up[i] + down[i]) / (2 * step**2))
+                pairs.append((raised[i] + lowered[i]) / (2 * step**2))
             else:
-                both = self._exact((unit[i] + unit[j]).tolist()) + self._exact((-unit[i] - unit[j]).tolist())
-                pairs.append((both - up[i] - down[i] - up[j] - down[j]) / (2 * step**2))
-        return (up - down) / (2 * step), np.array(pairs)
+                pair_sum = self._exact((unit[i] + unit[j]).tolist()) + self._exact((-unit[i] - unit[j]).tolist())
+                pairs.append((pair_sum - raised[i] - lowered[i] - raised[j] - lowered[j]) / (2 * step**2))
+        return (raised - lowered) / (2 * step), np.array(pairs)
 
     def _exact(self, strengths: Sequence[float]) -> Array:
         change = self._stacked(np.asarray(strengths))

@@ -156,9 +156,9 @@ class _Poles:
 
     Parameters
     ----------
-    mean : (n, electrodes, 2M) under each electrode.
-    load : (n, nodes, 2M) into the nodes of the edge, to cancel their current through it.
-    own : (n, 2M, 2M) of the poles among themselves.
+    mean : (n, electrodes, 2M) mean under each electrode.
+    load : (n, nodes, 2M) current into the nodes of the edge, to cancel their current through it.
+    own : (n, 2M, 2M) product of the poles among themselves.
     weight : (2M, 1) 2πm.
     """
 

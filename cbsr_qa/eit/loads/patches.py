@@ -73,7 +73,7 @@ class PatchStack(Sized):
 
         Parameters
         ----------
-        change : (all elements of the stack, k, k) of their matrices [S].
+        change : (all elements of the stack, k, k) change of their matrices [S].
         """
         stiffness = self._assemble(change)
         currents = stiffness @ self._extension
@@ -147,7 +147,7 @@ class Patches(Sized):
         Parameters
         ----------
         change : (k,) or (k, q, 2, 2) [S] of each element's conductance, leaving it positive.
-        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too.
+        contact_change : (electrodes,) change of 1/z [S/mm], where contacts change too.
         """
         stack_responses = []
         stacks = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)

@@ -96,10 +96,12 @@ class PinnedDisc:
         """Fields of currents and of the pins' poles about places, and their scales."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]
-        near = _powers(1 / (self._pins - centre[:, None]), orders + self._poles)
-        far = _powers(1 / (self._images - centre[:, None]), orders + self._poles)
-        poles = self._fields_of_poles(near, far, orders) * scale
-        logs = (near + far)[..., :orders].transpose(0, 2, 1) / (2 * np.pi * np.arange(1, orders + 1)[:, None])
+        pin_powers = _powers(1 / (self._pins - centre[:, None]), orders + self._poles)
+        image_powers = _powers(1 / (self._images - centre[:, None]), orders + self._poles)
+        poles = self._fields_of_poles(pin_powers, image_powers, orders) * scale
+        logs = (pin_powers + image_powers)[..., :orders].transpose(0, 2, 1) / (
+            2 * np.pi * np.arange(1, orders + 1)[:, None]
+        )
         return _stack_parts(logs) * scale + poles @ self._driven, poles, scale
 
     def transfer_impedance(self) -> Array:
@@ -156,10 +158,10 @@ class PinnedDisc:
         """Fields about each pin of the others' poles and of all images, (2K, 2K), and of currents, (2K, pins)."""
         separation = self._pins - self._pins[:, None]  # (about, of)
         np.fill_diagonal(separation, np.inf)  # a pin is not in its own direct field
-        near = _powers(1 / separation, 2 * self._poles)
-        far = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
-        poles = self._fields_of_poles(near, far, self._poles)
-        logs = (near + far)[..., : self._poles].transpose(0, 2, 1)
+        pin_powers = _powers(1 / separation, 2 * self._poles)
+        image_powers = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
+        poles = self._fields_of_poles(pin_powers, image_powers, self._poles)
+        logs = (pin_powers + image_powers)[..., : self._poles].transpose(0, 2, 1)
         currents = _stack_parts(logs / (2 * np.pi * np.arange(1, self._poles + 1)[:, None]))
         return tuple(  # type: ignore[return-value]
             values.reshape(len(values), 2, self._poles, -1).swapaxes(0, 1).reshape(-1, values.shape[-1])

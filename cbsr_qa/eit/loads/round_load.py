@@ -172,9 +172,9 @@ class RoundLoadModel:
                 "a load's place, strength or size is not a finite number",
                 remedy="for a perfect conductor use the squared radius as strength",
             )
-        outside = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
-        if outside.size:
-            x_mm, y_mm = loads.place_mm[outside[0]].tolist()
+        bad_loads = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
+        if bad_loads.size:
+            x_mm, y_mm = loads.place_mm[bad_loads[0]].tolist()
             raise NumericsError(
                 f"a load at ({x_mm:g}, {y_mm:g}) mm has its centre on an electrode or off the sheet: its field has no"
                 " power series",

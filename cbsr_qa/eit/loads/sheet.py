@@ -72,7 +72,7 @@ class LinkedPatches:
         Parameters
         ----------
         loads : strength of every load of the patches, at each moment.
-        contact_change : (electrodes,) of 1/z [S/mm], if contacts change too, the same at all moments.
+        contact_change : (electrodes,) change of 1/z [S/mm], if contacts change too, the same at all moments.
         """
         coupling, fields, contact_correction = self._split_off_contacts(contact_change)
         if not self._patches:

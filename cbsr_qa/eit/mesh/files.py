@@ -60,12 +60,12 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         If the file is missing or not a mesh, takes more than the limits of
         :func:`~cbsr_qa.system.untrusted.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
     """
-    read = partial(_read, path, electrodes, fix=fix)
+    reader = partial(_read, path, electrodes, fix=fix)
     if path.suffix == ".npz":
-        return read_untrusted(path, read, refusal=NumericsError)
+        return read_untrusted(path, reader, refusal=NumericsError)
     _meshio(path.suffix)
     # numpy.fromfile duplicates the file that meshio has open
-    return read_untrusted(path, read, refusal=NumericsError, open_files=2, modules=("meshio",))
+    return read_untrusted(path, reader, refusal=NumericsError, open_files=2, modules=("meshio",))
 
 
 def _read(path: Path, electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:

@@ -67,11 +67,11 @@ def check_range(numbers: Indices, count: int, first: int, what: str) -> None:
     """Refuse rows with nodes that do not exist."""
     bad_rows = np.flatnonzero(~((numbers >= 0) & (numbers < count)).reshape(len(numbers), -1).all(axis=1))
     if bad_rows.size:
-        row = (numbers[bad_rows[0]] + first).tolist()
-        counted = "first=1" if first == 0 else "first=0"
+        numbers_given = (numbers[bad_rows[0]] + first).tolist()
+        option = "first=1" if first == 0 else "first=0"
         raise NumericsError(
-            f"{what} {bad_rows[0]} names nodes {row}; nodes are numbered {first} to {count - 1 + first}",
-            remedy=f"if nodes are counted from {1 - first}, say {counted}",
+            f"{what} {bad_rows[0]} names nodes {numbers_given}; nodes are numbered {first} to {count - 1 + first}",
+            remedy=f"if nodes are counted from {1 - first}, say {option}",
         )
 
 
@@ -176,7 +176,7 @@ class ElectrodeAt:
     Parameters
     ----------
     x_mm, y_mm : middle of a strip, or of the hole that a pin is.
-    width_mm : a strip's length or a pin's diameter.
+    width_mm : length of a strip, or diameter of a pin.
     """
 
     x_mm: float

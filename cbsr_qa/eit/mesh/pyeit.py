@@ -46,12 +46,12 @@ class PyeitSheet:
         """
         outline = self.mesh.outline
         edges = tuple(outline[(outline == node).any(axis=1)] for node in self.electrode_nodes)
-        carried = np.concatenate(edges)
-        number = np.repeat(np.arange(len(edges)), [len(each) for each in edges])
-        _, first, count = np.unique(np.sort(carried, axis=1), axis=0, return_index=True, return_counts=True)
+        all_edges = np.concatenate(edges)
+        number = np.repeat(np.arange(len(edges)), [len(electrode_edges) for electrode_edges in edges])
+        _, first, count = np.unique(np.sort(all_edges, axis=1), axis=0, return_index=True, return_counts=True)
         if (count > 1).any():
-            ends = set(carried[first[np.argmax(count > 1)]].tolist())
-            both = [int(k) for k, edge in zip(number, carried.tolist(), strict=True) if set(edge) == ends]
+            ends = set(all_edges[first[np.argmax(count > 1)]].tolist())
+            both = [int(k) for k, edge in zip(number, all_edges.tolist(), strict=True) if set(edge) == ends]
             raise NumericsError(
                 f"electrodes {both[0]} and {both[1]} are neighbours on the mesh's boundary: they would share an edge",
                 remedy="use a finer mesh, or point electrodes (cbsr_qa.eit.forward.model.point_model)",
@@ -135,8 +135,8 @@ class PyeitProtocol:
 
     Parameters
     ----------
-    pattern : its drive pairs in their order; its distinct measure pairs in the order of their second electrodes.
-    drive, measure : (m,) of each reading.
+    pattern : drive pairs in their order; distinct measure pairs in the order of their second electrodes.
+    drive, measure : (m,) drive and measure pair of each reading.
     kept : mask that selects these readings from a longer row, pyEIT's ``keep_ba``; None if it has none.
     """
 

@@ -33,9 +33,9 @@ class _Way:
     speed_mm_s: float
 
     def position(self, time_s: float) -> Position:
-        part = 1.0 if time_s >= self.end_s else max(time_s - self.start_s, 0.0) / (self.end_s - self.start_s)
-        x, y, z = (a + part * (b - a) for a, b in zip(self.origin, self.goal, strict=True))
-        return self.goal if part == 1.0 else (x, y, z)
+        path_share = 1.0 if time_s >= self.end_s else max(time_s - self.start_s, 0.0) / (self.end_s - self.start_s)
+        x, y, z = (a + path_share * (b - a) for a, b in zip(self.origin, self.goal, strict=True))
+        return self.goal if path_share == 1.0 else (x, y, z)
 
 
 class EmulatedHead:

@@ -198,7 +198,7 @@ def stability(times_day: Sequence[float], readings: Sequence[float], reference: 
 
     Parameters
     ----------
-    times_day : (n,) in days from any origin, in any order.
+    times_day : (n,) times in days from any origin, in any order.
     readings : (n,), n ≥ 3.
 
     Raises

@@ -79,7 +79,7 @@ class Comparison:
     ----------
     compared : whether any difference could be estimated.
     metrics : difference in each metric for each other group; one entry without a group if a metric is not compared.
-    of_metrics : the same, metric by metric, with data for plots.
+    of_metrics : the same differences, metric by metric, with data for plots.
     headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.report.compare_outcome`.
     """
 
@@ -276,10 +276,10 @@ def _notes(
         notes = [note.replace(_ELSEWHERE, "of other batches or stations") for note in notes if _APART not in note]
     if of_station:
         notes.append(_STATIONS_ALONE)
-    without = _SHARES_PLACES.get(metric.key.name)
-    if without is not None:
-        measured = any(kind.key.name == without for kind in table.kinds)
-        notes.append(_HOLDS_SHARED + (_IS_WITHOUT.format(other=without) if measured else ""))
+    other_metric = _SHARES_PLACES.get(metric.key.name)
+    if other_metric is not None:
+        is_measured = any(kind.key.name == other_metric for kind in table.kinds)
+        notes.append(_HOLDS_SHARED + (_IS_WITHOUT.format(other=other_metric) if is_measured else ""))
     return tuple(notes)
 
 

@@ -260,20 +260,29 @@ def _idle(metric: MetricComparison) -> bool:
 
 def _constant(metric: MetricComparison) -> list[str]:
     """Return the reading of each group if sensors of a group do not differ but groups do; else nothing."""
-    of_group: dict[str, list[Array]] = {}
+    samples_by_group: dict[str, list[Array]] = {}
     for name, _, values in metric.samples:
-        of_group.setdefault(name, []).append(values)
-    read = {
-        name: float(np.mean(np.concatenate(values))) for name, values in of_group.items() if sum(map(len, values))
+        samples_by_group.setdefault(name, []).append(values)
+    reading_by_group = {
+        name: float(np.mean(np.concatenate(values)))
+        for name, values in samples_by_group.items()
+        if sum(map(len, values))
     }
-    scatter = any(sum(map(len, of_group[name])) < 2 or not _same(of_group[name]) for name in read)
-    if all(difference.known for difference in metric.differences) or _idle(metric) or scatter or len(read) < 2:
+    scatter = any(
+        sum(map(len, samples_by_group[name])) < 2 or not _same(samples_by_group[name]) for name in reading_by_group
+    )
+    if (
+        all(difference.known for difference in metric.differences)
+        or _idle(metric)
+        or scatter
+        or len(reading_by_group) < 2
+    ):
         return []
     for digits in range(3, _MOST_DIGITS + 1):  # digits that separate them
-        written = {name: amount(value, metric.values.unit, digits) for name, value in read.items()}
-        if len(set(written.values())) == len(set(read.values())):
+        text_by_group = {name: amount(value, metric.values.unit, digits) for name, value in reading_by_group.items()}
+        if len(set(text_by_group.values())) == len(set(reading_by_group.values())):
             break
-    return [f"{name} {text}" for name, text in written.items()]
+    return [f"{name} {text}" for name, text in text_by_group.items()]
 
 
 def _same(samples: Sequence[Array]) -> bool:

@@ -45,17 +45,17 @@ _BY_PLACE: Final = "{metric}: {pair} by place; p adjusted for the places."
 
 def sections(comparison: Comparison) -> Iterator[Section]:
     """Lay out tables first, then the parts that only the page has."""
-    drawn = _select_for_figure(comparison)
-    distributions: list[Block] = [_strips(metric, comparison) for metric in drawn]
-    if drawn and len(drawn) < len(comparison.of_metrics):
-        more = plural(len(comparison.of_metrics) - len(drawn), "metric")
-        distributions.append(Paragraph(f"{more} more in the tables only.", "note"))
+    drawn_metrics = _select_for_figure(comparison)
+    distributions: list[Block] = [_strips(metric, comparison) for metric in drawn_metrics]
+    if drawn_metrics and len(drawn_metrics) < len(comparison.of_metrics):
+        more_words = plural(len(comparison.of_metrics) - len(drawn_metrics), "metric")
+        distributions.append(Paragraph(f"{more_words} more in the tables only.", "note"))
     for title, blocks, page_only in (
         ("Differences", _difference_tables(comparison), False),
         ("Stations", _stations_table(comparison), False),
         ("Groups", _group_tables(comparison), False),
         ("Distributions", distributions, True),
-        ("Where on the sheet", (block for metric in drawn for block in _maps(metric, comparison)), True),
+        ("Where on the sheet", (block for metric in drawn_metrics for block in _maps(metric, comparison)), True),
         ("Values of each group", (*_values_table(comparison), *_capability_table(comparison)), True),
         ("Rules", map(Paragraph, comparison.rules), True),
     ):

@@ -34,7 +34,7 @@ class Accuracy:
     Parameters
     ----------
     stderr : standard error of that mean; None if the value is exact, or from a single seed.
-    better : whether larger (an overlap) or smaller (an error) is more accurate, or near to a stated value.
+    better : direction of more accurate values: larger (an overlap), smaller (an error), or near to a stated value.
     """
 
     value: float

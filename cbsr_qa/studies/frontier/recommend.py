@@ -30,10 +30,10 @@ def mark_worth(
     Among settings of the same cost, differences within their errors do not count. A setting is not dominated by one
     that lacks any of its accuracies. Standard errors that are None count as zero.
 
-    Kept means not dominated itself: otherwise a series of settings, each as good as the next within its error, would
-    be dropped down to the cheapest, though the last is far better than the first. Settings cannot dominate each other
-    in a circle, since each step is cheaper, or as cheap and better; so the kept ones depend on the points alone,
-    there is at least one, and leaving out a dominated setting changes nothing.
+    A setting is kept if it is not dominated itself. Without this condition, a series of settings, each as good as the
+    next within its error, would be dropped down to the cheapest, though the last is far better than the first.
+    Settings cannot dominate each other in a circle, since each step is cheaper, or as cheap and better. The kept ones
+    thus depend on the points alone, there is at least one, and leaving out a dominated setting changes nothing.
 
     Parameters
     ----------

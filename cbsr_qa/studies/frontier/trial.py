@@ -69,9 +69,9 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     model, material = force.learned.model, run.record.material
     places = sheet_places(model)
     truth = true_response(design, places, run.record.indenter.radius_mm)
-    near = np.hypot(*places.T) <= RADIUS_MM
-    mapped = np.exp(interpolate(model, model.log_response, places[near]))
-    errors["map_error"] = _rms(mapped / mapped.mean() / (truth[near] / truth[near].mean()) - 1)
+    is_near = np.hypot(*places.T) <= RADIUS_MM
+    mapped = np.exp(interpolate(model, model.log_response, places[is_near]))
+    errors["map_error"] = _rms(mapped / mapped.mean() / (truth[is_near] / truth[is_near].mean()) - 1)
     traces = hold_traces(run, long_holds(run))
     with suppress(CbsrError):
         gauge, _ = gauge_factor(run, force, traces=traces)

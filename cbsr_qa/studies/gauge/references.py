@@ -35,7 +35,7 @@ class ReferenceValue:
     Parameters
     ----------
     value, uncertainty : reference value and its standard deviation in ``unit``; 0 if not stated.
-    unit : must be the metric's; empty if an option omits it, for the metric's unit (named in sentences).
+    unit : unit of the metric; empty if an option omits it, which means the metric's unit (named in sentences).
     """
 
     serial: str

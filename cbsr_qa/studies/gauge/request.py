@@ -79,7 +79,7 @@ class GaugeRequest:
     ----------
     runs : selection by serials, a recipe or both.
     metrics : empty for those limited by the recipe.
-    by_location : one study per location instead of one of the mean over all.
+    by_location : True for one study per location, False for one study of the mean over all.
     appraiser : ``"station"`` or ``"operator"``.
     largest_balanced : use the largest balanced part of an incomplete crossing.
     references : true values of golden sensors.

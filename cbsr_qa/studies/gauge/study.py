@@ -127,7 +127,7 @@ class GaugeStudy:
 
     Parameters
     ----------
-    study : its file; None for options.
+    study : file of the study; None for options.
     since, until : first and last day of the runs, UTC, as requested.
     """
 

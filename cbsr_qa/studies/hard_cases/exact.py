@@ -117,9 +117,9 @@ def exact_gram(rows: Long) -> list[list[Any]]:
     exponents = np.frexp(np.abs(rows).max(axis=1))[1]
     slices, remainder = [], np.ldexp(rows, -exponents[:, None])
     for number in range(1, _SLICES + 1):
-        part = np.round(np.ldexp(remainder, number * _BITS))
-        remainder = remainder - np.ldexp(part, -number * _BITS)
-        slices.append(part.astype(np.float64))
+        piece = np.round(np.ldexp(remainder, number * _BITS))
+        remainder = remainder - np.ldexp(piece, -number * _BITS)
+        slices.append(piece.astype(np.float64))
     scaled_products = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
     for total in range(_SLICES):  # slices i and j weigh 2^−21(i + j + 2)
         summed = np.zeros((len(rows), len(rows)), dtype=np.int64)

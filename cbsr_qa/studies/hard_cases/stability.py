@@ -34,9 +34,9 @@ def choose_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[
 
 def _nearest(name: str, known: Sequence[str]) -> str:
     """Suggest names of cases that contain the same word or look alike."""
-    near = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
-    if near:
-        return f"did you mean one of: {', '.join(near[:_FEW])}"
+    similar = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
+    if similar:
+        return f"did you mean one of: {', '.join(similar[:_FEW])}"
     return f"cbsr-qa stability --area {AREAS[0]!r} lists the cases of an area; areas are: {', '.join(AREAS)}"
 
 

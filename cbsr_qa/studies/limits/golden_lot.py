@@ -66,7 +66,7 @@ class Lot:
     sensors : serial → its runs, oldest first; sensors by serial.
     software : (distribution, version) of the first run's analysis.
     not_good, mixed : accepted runs that are not good, or differ; in words.
-    analysed : the same runs with their analyses.
+    analysed : sensor → its runs with their analyses.
     """
 
     chosen: str
@@ -179,11 +179,11 @@ def _has_result(run: RunLine) -> bool:
 
 
 def _refuse_bad(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
-    bad = [run for run in runs if not (_has_result(run) and run.verdict in _GOOD)]
-    fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
-    if bad and not choice.include_failed:
+    bad_runs = [run for run in runs if not (_has_result(run) and run.verdict in _GOOD)]
+    fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad_runs)
+    if bad_runs and not choice.include_failed:
         raise RefusedError(
-            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {list_names(fates)}",
+            f"{len(bad_runs)} of the {len(runs)} runs of the lot are not good: {list_names(fates)}",
             remedy="leave those sensors out by --without, choose other days, or take them in by --include-failed",
         )
     return fates

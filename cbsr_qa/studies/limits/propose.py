@@ -78,7 +78,7 @@ def propose_limits(
     ----------
     names, everything : measurements; by default those limited by the recipe (all if it has no limits).
     version : version of the limits; by default the day and the first digits of the data's digest.
-    output : must not exist yet.
+    output : file to write, which must not exist yet.
 
     Raises
     ------

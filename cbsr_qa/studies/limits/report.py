@@ -51,14 +51,14 @@ def limits_outcome(proposed: ProposedLimits) -> CommandOutcome[ProposedLimits]:
 
 def _page(proposed: ProposedLimits) -> Page:
     lot, count, failing = proposed.lot, len(proposed.limits), proposed.lot_fails_any
-    together = min(100 * count * (1 - proposed.coverage), 100.0)
+    joint_percent = min(100 * count * (1 - proposed.coverage), 100.0)
     fails = _LOT_FAILS.format(
         failing=len(failing), sensors=len(lot.sensors), names=f": {list_names(failing)}" if failing else ""
     )
     reason = _EACH.format(
         coverage=100 * proposed.coverage,
         confidence=100 * proposed.confidence,
-        together=_TOGETHER.format(count=count, percent=together) if count > 1 else "",
+        together=_TOGETHER.format(count=count, percent=joint_percent) if count > 1 else "",
         fails=fails,
     )
     facts = [

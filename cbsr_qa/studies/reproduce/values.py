@@ -55,7 +55,7 @@ class SheetValues:
     by_place : location → the same with the main mask.
     random : place of the list → error and deviation over trials, steady images.
     settlings : settling of the conductance under the load, by strain.
-    presses : single ones, left out of their own force model.
+    presses : single presses, each left out of its own force model.
     stress_slope_per_kPa, head_mm2 : response per stress and area of the head, for the detection limit.
     """
 

@@ -34,8 +34,8 @@ class Costs:
 
     Parameters
     ----------
-    effect_ms : per frame, of each enabled effect, with its share of work done once per scene.
-    each_ms : the same without that share.
+    effect_ms : time per frame of each enabled effect, with its share of work done once per scene.
+    each_ms : the same times without that share.
     once_ms : total work once per scene: when the sheet is made, when heads move, before frames are written.
     frame_ms : time of a whole frame during a load, with its force samples.
     compute_s : estimate for the whole recording.

@@ -21,7 +21,7 @@ class ExplainedEffect:
 
     Parameters
     ----------
-    perturbs : its stage; empty if unknown before it is created.
+    perturbs : stage of the effect; empty if unknown before the effect is created.
     cost_ms_per_frame : cost, with a share of the work done once per scene; 0 if disabled, None if not measured.
     parameters : parameters from the scene.
     does : first line of its docstring.

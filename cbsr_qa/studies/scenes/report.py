@@ -60,9 +60,9 @@ def _total(explained: Explained) -> str:
 def _on(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
     """Effects in order of stage, which is given for the first of each."""
     columns = (*_COLUMNS[:2], *_COLUMNS[4:]) if frame_ms is None else _COLUMNS
-    rows, last = [], ""
+    rows, last_stage = [], ""
     for effect in effects:
-        stage, last = "" if effect.perturbs == last else effect.perturbs, effect.perturbs
+        stage, last_stage = "" if effect.perturbs == last_stage else effect.perturbs, effect.perturbs
         cost = () if frame_ms is None else _cost(effect, frame_ms)
         needs = f"needs {', '.join(effect.needs)}" if effect.needs else ""
         rows.append((stage, effect.name, *cost, "; ".join(filter(None, (_parameters(effect.parameters), needs)))))

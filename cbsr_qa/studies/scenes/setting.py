@@ -55,8 +55,8 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
     Parameters
     ----------
     scene : path or shipped name.
-    plugins : used to check the parameters of effects with the rest of the file.
-    recorded : whether it must state what is simulated and recorded; otherwise the usual sensor is used.
+    plugins : plugins that check the parameters of effects, with the rest of the file.
+    recorded : whether the scene must state what is simulated and recorded; otherwise the usual sensor is used.
 
     Raises
     ------
@@ -66,10 +66,10 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
     loaded = load_scene_plan(scene, plugins)
     if recorded:
         _check_complete(loaded)
-    plan, near = loaded.value, loaded.folder
+    plan, folder = loaded.value, loaded.folder
     with naming(loaded.document.label):
-        sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=near)
-        material = load_material(plan.material or USUAL_MATERIAL, near=near)
+        sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=folder)
+        material = load_material(plan.material or USUAL_MATERIAL, near=folder)
     check_plan(loaded, sensor_type.value)
     return SceneSetup(loaded, sensor_type, material)
 

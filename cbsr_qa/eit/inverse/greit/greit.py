@@ -153,9 +153,9 @@ class _Fit:
 
     def raise_far(self, nodes: Indices) -> None:
         """Increase the weight of far errors in the rows of some nodes."""
-        more = (_RAISED - 1) * self._raised[nodes] * self._share[nodes]
-        self.normal[nodes] += more[:, None, None] * self._far_normal
-        self.right[nodes] += (more[:, None] * self._far_right[nodes])[..., None]
+        added_weight = (_RAISED - 1) * self._raised[nodes] * self._share[nodes]
+        self.normal[nodes] += added_weight[:, None, None] * self._far_normal
+        self.right[nodes] += (added_weight[:, None] * self._far_right[nodes])[..., None]
         self._raised[nodes] *= _RAISED
 
 

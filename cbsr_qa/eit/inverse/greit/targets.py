@@ -87,7 +87,7 @@ class Targets:
     mesh : mesh of the image, n nodes.
     centres_mm : (t, 2) float64.
     variance_mm2 : (t,) float64, second moment of each one's image.
-    head_variance_mm2 : the same of a target of the head's size.
+    head_variance_mm2 : the same variance for a target of the head's size.
     of_head : (t,) bool, those of the head's own size.
     signals : (g, t) float64, folded readings of unit variance.
     """

@@ -37,7 +37,7 @@ class WhiteReadings:
 
     Parameters
     ----------
-    deviation : (g,) of the folded readings, relative.
+    deviation : (g,) relative deviation of the folded readings.
     rows : (g, e), the Jacobian of white readings.
     """
 

@@ -78,14 +78,14 @@ def worth_their_time(points: Sequence[Point]) -> list[Point]:
     Settings with one matrix of the same size do the same arithmetic: measured differences are chance, and each gets
     the lowest cost. A refused setting is never worth its time.
     """
-    measured = [point for point in points if point.compute_s is not None and point.accuracy]
-    least: dict[float, float] = {}
-    for point in measured:
+    measured_points = [point for point in points if point.compute_s is not None and point.accuracy]
+    least_cost_s: dict[float, float] = {}
+    for point in measured_points:
         size = _matrix_bytes(point)
-        least[size] = min(least.get(size, np.inf), point.compute_s or 0.0)
+        least_cost_s[size] = min(least_cost_s.get(size, np.inf), point.compute_s or 0.0)
 
     def common_cost_s(point: Point) -> float | None:
-        shared = least.get(_matrix_bytes(point)) if _matrix_bytes(point) else point.compute_s
+        shared = least_cost_s.get(_matrix_bytes(point)) if _matrix_bytes(point) else point.compute_s
         return shared if point.accuracy else None
 
     return mark_worth(points, common_cost_s)

@@ -58,7 +58,7 @@ def press_frontier(
     ----------
     target_mm : largest mean error of place; without it the smallest number is recommended that no larger one surely
         beats.
-    quick : fewer draws, and one number of presses of the session's first part.
+    quick : True for fewer draws, and for one number of presses of the session's first part.
 
     Raises
     ------
