@@ -44,12 +44,13 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
     A metric in several units within a run has no value there, with a note.
     """
     keys = [
-        (replace(kind.key, location=kind.location) if by_location else kind.key, kind.unit) for kind in table.kinds
+        (replace(entry.key, location=entry.location) if by_location else entry.key, entry.unit)
+        for entry in table.kinds
     ]
     columns = sorted(set(keys))
     places = {key: place for place, key in enumerate(columns)}
     column = np.array([places[key] for key in keys], dtype=np.intp)
-    limits = np.array([(kind.lower, kind.upper) for kind in table.kinds], dtype=np.float64).reshape(-1, 2)
+    limits = np.array([(entry.lower, entry.upper) for entry in table.kinds], dtype=np.float64).reshape(-1, 2)
     cells, cell = np.unique(table.run.astype(np.intp) * len(columns) + column[table.kind], return_inverse=True)
     lower, upper = np.full((2, len(cells)), np.nan)
     np.fmax.at(lower, cell, limits[table.kind, 0])
@@ -58,7 +59,7 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
     missing_counts = np.bincount(cell, np.isnan(table.value))
     bounded_counts = np.bincount(cell, table.state & State.LOWER_BOUND > 0)
     means = np.bincount(cell, table.value) / counts
-    numbers = (kind.tolist() for kind in (cells, means, counts, missing_counts, bounded_counts, lower, upper))
+    numbers = (entry.tolist() for entry in (cells, means, counts, missing_counts, bounded_counts, lower, upper))
     by_key: dict[MetricKey, dict[str, RunFigure]] = {}
     for cell_number, mean, count, absent, bounds, low, high in zip(*numbers, strict=True):
         run, (key, unit) = table.runs[cell_number // len(columns)].run, columns[cell_number % len(columns)]
@@ -116,7 +117,7 @@ def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFi
     single_unit_figures = [figure for figure in run_figures if not figure.units] or run_figures
     unit = _most(figure.unit for figure in single_unit_figures)
     places = _most(figure.places for figure in single_unit_figures if figure.unit == unit)
-    values_by_run: list[tuple[RunLine, float]] = []
+    valued_runs: list[tuple[RunLine, float]] = []
     runs_by_reason: dict[str, list[str]] = {}
     for run in runs:
         figure = figures.get(run.run)
@@ -124,9 +125,9 @@ def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFi
         if reason:
             runs_by_reason.setdefault(reason, []).append(run.words)
         elif figure is not None and figure.value is not None:
-            values_by_run.append((run, figure.value))
+            valued_runs.append((run, figure.value))
     notes = tuple(f"left out: {reason}: {list_names(run_words)}" for reason, run_words in runs_by_reason.items())
-    lines, values = tuple(run for run, _ in values_by_run), tuple(value for _, value in values_by_run)
+    lines, values = tuple(run for run, _ in valued_runs), tuple(value for _, value in valued_runs)
     return Series(key, unit, lines, values, run_figures[-1].lower, run_figures[-1].upper, notes)
 
 

@@ -173,14 +173,14 @@ class Patches(Sized):
         least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
         counts = [len(stack.rims) for stack in self._stacks]
         coupling = couple(model, inverse, [rim for stack in self._stacks for rim in stack.rims], least, counts)
-        self._own = [np.stack(coupling.own[span]) for span in spans_of(counts)]
-        self._met = [np.stack(coupling.bases[span]) for span in spans_of(counts)]
+        self._own = [np.stack(coupling.own[block]) for block in spans_of(counts)]
+        self._met = [np.stack(coupling.bases[block]) for block in spans_of(counts)]
         self._fields = coupling.fields  # (sum of ranks, electrodes)
         rows = np.hstack([coupling.between, self._fields])
         ends = np.cumsum([met.shape[0] * met.shape[2] for met in self._met])[:-1]
         self._linked = [
-            span.reshape(len(met), -1, rows.shape[1])
-            for span, met in zip(np.split(rows, ends), self._met, strict=True)
+            block.reshape(len(met), -1, rows.shape[1])
+            for block, met in zip(np.split(rows, ends), self._met, strict=True)
         ]
 
 

@@ -44,7 +44,7 @@ class Fit:
     Parameters
     ----------
     design : design of the fitted runs.
-    effects : (groups + stations,) every group's effect, and every station's relative to the first of its connected part.
+    effects : (groups + stations,) effect of every group, and of every station relative to the first of its part.
     run_deviation : σ; of sensor and run together where the model is fixed.
     sensor_deviation : σ√θ; None where the model is fixed.
     ratio : interval of θ; None where the model is fixed.

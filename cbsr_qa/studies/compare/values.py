@@ -48,8 +48,8 @@ class MetricValues:
     ----------
     title : name of the metric, with phase and qualifier if another metric has the same name.
     lower, upper : limit of the latest run with one, or None.
-    mean, least, most : (R,) mean, smallest and largest of each run's values; NaN without any, or if one is only a lower
-        bound, infinite or too large to be squared.
+    mean, least, most : (R,) mean, smallest and largest of each run's values; NaN without any, or if one is only a
+        lower bound, infinite or too large to be squared.
     per_run : largest number of values per run.
     at : location → (R,) mean of the values there; empty for values without location.
     failed : (R,) whether a value was outside its limit or, though limited, could not be measured.

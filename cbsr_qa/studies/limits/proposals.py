@@ -279,11 +279,11 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
         return Uncertainty(
             sqrt(sum(u * u for u in known_uncertainties) / len(known_uncertainties)), None, source
         ), source
-    no_repeats = _NEVER_TWICE if not repeats else _NO_SPREAD
+    few_words = _NEVER_TWICE if not repeats else _NO_SPREAD
     if 0 < repeats < FEWEST_REPEATS:
-        no_repeats = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
+        few_words = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
     return None, _UNSTATED.format(
-        few=no_repeats, silent=len(stated_uncertainties) - len(known_uncertainties), values=len(stated_uncertainties)
+        few=few_words, silent=len(stated_uncertainties) - len(known_uncertainties), values=len(stated_uncertainties)
     )
 
 

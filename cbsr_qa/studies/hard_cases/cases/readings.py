@@ -199,7 +199,7 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
     fold = ReadingFold.from_problem(problem)
     computed = fold.fold(readings[None])[0]
-    weights = [1 / Fraction(numerator) for numerator in (10**decades).tolist()]
+    weights = [1 / Fraction(value) for value in (10**decades).tolist()]
     weighted_sums, weight_sums, absolute_sums = ([Fraction(0)] * len(computed) for _ in range(3))
     for group, sign, weight, reading in zip(
         fold.group.tolist(), fold.sign.tolist(), weights, readings.tolist(), strict=True
@@ -208,11 +208,10 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
         absolute_sums[group] += weight * abs(Fraction(reading))
         weight_sums[group] += weight
     exact = np.array(
-        [float(numerator / denominator) for numerator, denominator in zip(weighted_sums, weight_sums, strict=True)]
+        [float(value / denominator) for value, denominator in zip(weighted_sums, weight_sums, strict=True)]
     )
     condition = max(
-        float(absolute_sum / abs(numerator))
-        for absolute_sum, numerator in zip(absolute_sums, weighted_sums, strict=True)
+        float(absolute_sum / abs(value)) for absolute_sum, value in zip(absolute_sums, weighted_sums, strict=True)
     )
     error = float(np.abs(computed / exact - 1).max())
     return answer_from_condition(error, condition)
