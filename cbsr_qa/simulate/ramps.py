@@ -34,13 +34,13 @@ def transient(ramp: StrainRamp, relaxation: Relaxation, time_s: float) -> float:
 
     Together with :func:`ramp_share` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
     """
-    since = time_s - ramp.start_s
-    if since <= 0:
+    since_s = time_s - ramp.start_s
+    if since_s <= 0:
         return 0.0
-    past = since - min(since, ramp.ramp_s)  # since the ramp's end
+    past_s = since_s - min(since_s, ramp.ramp_s)  # since the ramp's end
     total = 0.0
     for weight, tau in zip(relaxation.weights, relaxation.time_constants_s, strict=True):
-        total += weight * math.exp(-past / tau) * _share((since - past) / tau)
+        total += weight * math.exp(-past_s / tau) * _share((since_s - past_s) / tau)
     return total * ramp_share(ramp, time_s)
 
 
@@ -116,9 +116,9 @@ class Transients:
         end_s = max(step.start_s + step.ramp_s for step in press.steps)
         amplitude_by_tau: dict[float, float] = {}
         for ramp, kernel in answered:
-            past = end_s - (ramp.start_s + ramp.ramp_s)
+            past_s = end_s - (ramp.start_s + ramp.ramp_s)
             for weight, tau in zip(kernel.weights, kernel.time_constants_s, strict=True):
-                remaining_share = weight * math.exp(-past / tau) * _share(ramp.ramp_s / tau)
+                remaining_share = weight * math.exp(-past_s / tau) * _share(ramp.ramp_s / tau)
                 amplitude_by_tau[tau] = amplitude_by_tau.get(tau, 0.0) + ramp.change * remaining_share
         return _Over(
             press, len(press.steps), end_s, answered, [(start, tau) for tau, start in amplitude_by_tau.items()]

@@ -197,13 +197,13 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     # Distributions to try: a quantity that can be negative is not log-normal.
     positive = min(min(sensor) for sensor in smallest) > 0
     possible = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
-    looked_at = tuple(one for one in possible if ask.distribution in (None, one))
-    lower = _find_bound(smallest, looked_at, values, ask, -1) if ask.lower else None
-    upper = _find_bound(largest, looked_at, values, ask, +1) if ask.upper else None
+    distributions = tuple(distribution for distribution in possible if ask.distribution in (None, distribution))
+    lower = _find_bound(smallest, distributions, values, ask, -1) if ask.lower else None
+    upper = _find_bound(largest, distributions, values, ask, +1) if ask.upper else None
     far_sensors = _all_far_out(smallest, largest, (lower, upper))
-    refused = next((side for side in (lower, upper) if isinstance(side, str)), "")
-    if refused:
-        return LotLimits(why=refused, far_out=far_sensors)
+    refusal = next((side for side in (lower, upper) if isinstance(side, str)), "")
+    if refusal:
+        return LotLimits(why=refusal, far_out=far_sensors)
     assert not isinstance(lower, str)
     assert not isinstance(upper, str)
     return LotLimits(lower, upper, far_out=far_sensors)

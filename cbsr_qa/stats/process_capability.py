@@ -213,11 +213,13 @@ def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confi
     error = float(apart.std(ddof=1)) / sqrt(len(apart))
     half_width = float(stats.t.isf(tail, len(apart) - 1)) * error
     room = width - float(apart.mean())
-    wide, narrow = (
+    wide_sigma, narrow_sigma = (
         sum(3 * side.deviation * sqrt(side.freedom / float(stats.chi2.ppf(p, side.freedom))) for side in (low, high))
         for p in (tail, 1 - tail)
     )
-    ratios = [end / six_sigma for end in (room - half_width, room + half_width) for six_sigma in (wide, narrow)]
+    ratios = [
+        end / six_sigma for end in (room - half_width, room + half_width) for six_sigma in (wide_sigma, narrow_sigma)
+    ]
     value = room / (3 * (low.deviation + high.deviation))
     return Index(value, min(ratios), max(ratios), "χ² of both sides and t, Bonferroni")
 

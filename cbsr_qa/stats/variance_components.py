@@ -57,11 +57,11 @@ class Components:
         values : number of normal values of which each number is the largest, see :mod:`cbsr_qa.stats.worst_value`.
         """
         quantile = worst_of(values).quantile(coverage)
-        raised = skewness_ratio(coverage, confidence, values, self.sensors)
+        skewness_factor = skewness_ratio(coverage, confidence, values, self.sensors)
         if not self.repeats:
-            return raised * factor_of_quantile(quantile, confidence, self.sensors, self.sensors - 1)
+            return skewness_factor * factor_of_quantile(quantile, confidence, self.sensors, self.sensors - 1)
         offset, deviation = self._draws()
-        return raised * float(np.quantile(offset + quantile * deviation, confidence)) / self.deviation
+        return skewness_factor * float(np.quantile(offset + quantile * deviation, confidence)) / self.deviation
 
     def interval_factor(self, coverage: float, confidence: float) -> float:
         """Return k of mean ± k deviation, within which this share of single runs of single sensors lies.

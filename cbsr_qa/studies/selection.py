@@ -63,11 +63,13 @@ def check_names(store: Repository, selection: RunSelection, at: Callable[[str], 
     ----------
     at : position of a selection's field in a file, at the beginning of the message.
     """
-    absent = list(absent_names(selection, store.fleet.read_lines()))
-    if absent:
-        noun, _, name, known_names = absent[0]
+    absent_entries = list(absent_names(selection, store.fleet.read_lines()))
+    if absent_entries:
+        noun, _, name, known_names = absent_entries[0]
         raise RefusedError(
-            "\n".join(f"{at(field)}no stored run is of {noun} {echo(name, 64)}" for noun, field, name, _ in absent),
+            "\n".join(
+                f"{at(field)}no stored run is of {noun} {echo(name, 64)}" for noun, field, name, _ in absent_entries
+            ),
             remedy=nearest(name, known_names, "batches" if noun == "batch" else f"{noun}s"),
         )
 

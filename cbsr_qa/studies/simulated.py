@@ -71,7 +71,9 @@ def simulate_run(
             configuration_digest=configuration.digest,
             software=software_versions(plugins),
             instruments=instruments,
-            simulated=tuple(f"{each.role}: {each.model}" for each in instruments if each.simulated),
+            simulated=tuple(
+                f"{instrument.role}: {instrument.model}" for instrument in instruments if instrument.simulated
+            ),
         )
         journal = MemoryJournal(plan)
         return journal.record(identity, execute(plan, identity, bench, clock, [journal])), bench

@@ -142,7 +142,7 @@ def run_jobs(
         for job in jobs:
             yield job, run(job)
         return
-    failed: BaseException | None = None
+    first_error: BaseException | None = None
     with worker_pool(processes) as pool:
         with delay_interrupts():
             futures = {pool.submit(run, job): job for job in jobs}
@@ -154,9 +154,9 @@ def run_jobs(
                     continue
                 if (error := future.exception()) is None:
                     yield futures[future], future.result()
-                elif failed is None:
-                    failed = error
+                elif first_error is None:
+                    first_error = error
                     for other in futures:
                         other.cancel()  # running jobs are finished and stored
-    if failed is not None:
-        raise failed
+    if first_error is not None:
+        raise first_error

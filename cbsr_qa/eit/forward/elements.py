@@ -149,9 +149,9 @@ class FiniteElements:
         mesh_keys = self.mesh.edges @ np.array([count, 1])
         edge_keys = np.sort(edges, axis=1) @ np.array([count, 1])
         row = np.minimum(np.searchsorted(mesh_keys, edge_keys), len(mesh_keys) - 1)
-        stray = np.flatnonzero(mesh_keys[row] != edge_keys)
-        if stray.size:
-            first, second = edges[stray[0]]
+        stray_rows = np.flatnonzero(mesh_keys[row] != edge_keys)
+        if stray_rows.size:
+            first, second = edges[stray_rows[0]]
             raise NumericsError(
                 f"nodes {first} and {second} are joined by an arc or an electrode, but by no element's edge",
                 remedy="list edges of the mesh only",

@@ -68,9 +68,9 @@ def refine(
 def _out_of(conductors: sparse.csc_matrix, high: Array, low: Array) -> Array:
     """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
     row, counts = conductors.indices, np.diff(conductors.indptr)
-    difference, lost = _sum(high[row], -np.repeat(high, counts, axis=0))
-    lost += low[row] - np.repeat(low, counts, axis=0)
-    flow = conductors.data[:, None] * (difference + lost)
+    difference, rounding_error = _sum(high[row], -np.repeat(high, counts, axis=0))
+    rounding_error += low[row] - np.repeat(low, counts, axis=0)
+    flow = conductors.data[:, None] * (difference + rounding_error)
     return np.asarray(np.add.reduceat(flow, conductors.indptr[:-1], axis=0), dtype=np.float64)
 
 

@@ -195,16 +195,16 @@ def hyperparameter_for(
     """
     figure = noise_figure_of(spectrum, signal, areas, noise_variance)
     grid = np.log(search_grid(spectrum))
-    reached = np.array([figure(float(np.exp(at))) for at in grid])
-    if not (np.isfinite(target) and reached.min() <= target <= reached.max()):
+    reached_figures = np.array([figure(float(np.exp(at))) for at in grid])
+    if not (np.isfinite(target) and reached_figures.min() <= target <= reached_figures.max()):
         raise NumericsError(
             f"noise figure {target} cannot be reached;"
-            f" this sensor type allows {reached.min():.3g} to {reached.max():.3g}",
+            f" this sensor type allows {reached_figures.min():.3g} to {reached_figures.max():.3g}",
             remedy="give a noise figure in that range, or the hyperparameter itself",
         )
     # The noise figure falls with λ apart from wiggles at the ends; the largest λ that reaches the target is
     # smoothest.
-    last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
+    last = np.flatnonzero((reached_figures[:-1] >= target) & (target >= reached_figures[1:]))[-1]
     root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
     return round_figure(float(np.exp(root)))
 

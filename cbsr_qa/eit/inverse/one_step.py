@@ -167,8 +167,8 @@ class RidgeCurves:
 
     def residual(self, s: Array | float) -> Array:
         """Weighted squared residual of all frames."""
-        gone = self._remaining_share(s)
-        return np.asarray(gone**2 @ self._energy)
+        remaining_share = self._remaining_share(s)
+        return np.asarray(remaining_share**2 @ self._energy)
 
     def size(self, s: Array | float) -> Array:
         """xᵀRx of all frames."""

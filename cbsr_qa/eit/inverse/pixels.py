@@ -120,7 +120,7 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
 def _shares(mesh: Mesh, corner: Array, pitch: float, pixels: int) -> sparse.csr_matrix:
     """Share of each element in the mean over each pixel's part of the sheet, (pixels², e); rows sum to 1 or 0."""
     lines = corner + pitch * np.arange(pixels + 1)[:, None]
-    nodes = np.column_stack([each.ravel() for each in np.meshgrid(lines[:, 0], lines[:, 1])])
+    nodes = np.column_stack([coordinate.ravel() for coordinate in np.meshgrid(lines[:, 0], lines[:, 1])])
     first = (np.arange(pixels)[:, None] * (pixels + 1) + np.arange(pixels)).ravel()
     lower = np.column_stack([first, first + 1, first + pixels + 2])
     upper = np.column_stack([first, first + pixels + 2, first + pixels + 1])

@@ -39,7 +39,7 @@ def image_jacobian(model: ForwardModel, mesh: Mesh, drive: Indices, measure: Ind
         fields @ pairs for pairs in (model.pattern.drive_currents(), model.pattern.measure_matrix())
     )
     driven_fields, measured_fields = (
-        np.ascontiguousarray(each.transpose(2, 1, 0)) for each in (driven_fields, measured_fields)
+        np.ascontiguousarray(pair_fields.transpose(2, 1, 0)) for pair_fields in (driven_fields, measured_fields)
     )
     products = np.empty((len(drive), len(pieces.areas_mm2)))
     for row, k, m in zip(products, drive, measure, strict=True):

@@ -172,10 +172,10 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
         )
     step = _converter_step(readings[:, ~silent], rounding)
     raw_variance = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
-    moderated, common, freedom = _moderate_variances(raw_variance, count - 2)
-    variance = np.full(len(silent), common)
+    moderated, common_variance, freedom = _moderate_variances(raw_variance, count - 2)
+    variance = np.full(len(silent), common_variance)
     variance[~silent] = moderated
-    return ReadingNoise(variance, common, freedom, silent)
+    return ReadingNoise(variance, common_variance, freedom, silent)
 
 
 def _converter_step(readings: Array, rounding: float) -> float:
@@ -208,12 +208,12 @@ def _moderate_variances(own: Array, freedom: int) -> tuple[Array, float, float]:
     beyond_chance = float(level.var(ddof=1) - polygamma(1, freedom / 2)) if len(own) > 1 else 0.0
     mean = float(level.mean())
     if beyond_chance <= 0:
-        common = float(np.exp(mean))
-        return np.full_like(own, common), common, float("inf")
+        common_variance = float(np.exp(mean))
+        return np.full_like(own, common_variance), common_variance, float("inf")
     prior = 2 * _inverse_trigamma(beyond_chance)
-    common = float(np.exp(mean + digamma(prior / 2) - np.log(prior / 2)))
-    moderated: Array = (prior * common + freedom * own) / (prior + freedom)
-    return moderated, common, prior
+    common_variance = float(np.exp(mean + digamma(prior / 2) - np.log(prior / 2)))
+    moderated: Array = (prior * common_variance + freedom * own) / (prior + freedom)
+    return moderated, common_variance, prior
 
 
 def _inverse_trigamma(value: float) -> float:

@@ -46,11 +46,11 @@ def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
     """Warnings about the scale of a reference frame; empty if its cosine with the model's is at least 0.9."""
-    alike = agreement(reference_voltages, problem)
-    if abs(alike) >= _LEAST_ALIKE:
+    cosine = agreement(reference_voltages, problem)
+    if abs(cosine) >= _LEAST_ALIKE:
         return ()
     return (
-        f"the unloaded frame matches the model's with a cosine of {alike:.2f} (1 is equal): its readings have an"
+        f"the unloaded frame matches the model's with a cosine of {cosine:.2f} (1 is equal): its readings have an"
         " offset, or electrodes are misplaced or in another order; image amplitudes are not reliable",
     )
 

@@ -115,12 +115,12 @@ class MeshedSheet:
         mean = np.stack([self._means @ values for values in pole])  # (n, electrodes, 2M)
         contact_drop = pole[:, self._contact] - mean[:, self._owner]
         contact_flux = contact_drop * self._admittance[:, None]
-        self_energy = np.swapaxes(pole * self._lengths[:, None], 1, 2) @ flux
-        self_energy += np.swapaxes(contact_drop * self._lengths[self._contact, None], 1, 2) @ contact_flux
+        own_product = np.swapaxes(pole * self._lengths[:, None], 1, 2) @ flux
+        own_product += np.swapaxes(contact_drop * self._lengths[self._contact, None], 1, 2) @ contact_flux
         flux[:, self._contact] += contact_flux
         load = -np.stack([self._spread @ values for values in flux])  # (n, nodes, 2M)
         weight = 2 * np.pi * np.tile(np.arange(1, orders + 1), 2)[:, None]
-        return _Poles(mean, load, self_energy, weight)
+        return _Poles(mean, load, own_product, weight)
 
     def _poles(self, centre: Complex, reach: Array, orders: int) -> tuple[Array, Array]:
         """Poles (reach/(z − c))^m along the edge and their outward slopes, real and imaginary parts: (n, g, 2M)."""

@@ -210,6 +210,6 @@ def _edge_reflection(centre: Complex, orders: int) -> Array:
     rising = choose[1:, 1:] * lower
     falling = choose[:-1, :-1] * lower.conj()
     size = _powers(gap**-2, orders)
-    sent = (falling * size[:, None]) @ rising.transpose(0, 2, 1)  # (m, n)
-    upper = np.concatenate([sent.real, -sent.imag], axis=2)
-    return np.concatenate([upper, np.concatenate([sent.imag, sent.real], axis=2)], axis=1)
+    transfer = (falling * size[:, None]) @ rising.transpose(0, 2, 1)  # (m, n)
+    upper = np.concatenate([transfer.real, -transfer.imag], axis=2)
+    return np.concatenate([upper, np.concatenate([transfer.imag, transfer.real], axis=2)], axis=1)

@@ -86,9 +86,9 @@ class InverseEntries:
         if needed <= len(self._entries):
             return
         size = max(needed, min(2 * len(self._entries), MOST_NODES))
-        grown = np.zeros((size, size))
-        grown[:used, :used] = self._entries[:used, :used]
-        self._entries = grown
+        larger_entries = np.zeros((size, size))
+        larger_entries[:used, :used] = self._entries[:used, :used]
+        self._entries = larger_entries
 
 
 def find_outer_nodes(model: ForwardModel, elements: Indices) -> Mask:

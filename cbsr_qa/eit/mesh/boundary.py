@@ -257,10 +257,10 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
         if owner >= 0:
             least = max(least, int(np.ceil(fewest * (end - begin) / width - 0.2)))
         places = begin + _SAMPLES * (end - begin)
-        chosen = _spread(1 / sizes(curve.points_at(places)), places, least)[:-1]
-        points.append(curve.points_at(chosen))
-        owners += [owner] * len(chosen)
-        pieces += [piece] * len(chosen)
+        stretch_nodes = _spread(1 / sizes(curve.points_at(places)), places, least)[:-1]
+        points.append(curve.points_at(stretch_nodes))
+        owners += [owner] * len(stretch_nodes)
+        pieces += [piece] * len(stretch_nodes)
     edges = ring_edges(len(owners))
     of_strip, of_piece = np.array(owners), np.array(pieces)
     arcs = [

@@ -92,10 +92,10 @@ def check_used(points: Points, corners: Indices) -> None:
     """Refuse nodes that belong to no element."""
     is_used = np.zeros(len(points), dtype=np.bool_)
     is_used[corners] = True
-    idle = np.flatnonzero(~is_used)
-    if idle.size:
+    idle_nodes = np.flatnonzero(~is_used)
+    if idle_nodes.size:
         raise NumericsError(
-            f"node {idle[0]} (one of {idle.size} such) belongs to no element",
+            f"node {idle_nodes[0]} (one of {idle_nodes.size} such) belongs to no element",
             remedy="leave such nodes out, or say fix=True",
         )
 
@@ -286,11 +286,11 @@ def _edges_of(given: ElectrodeAt | Indices, number: int, mesh: Mesh, boundary: I
 
 def _edges_between(nodes: Indices, number: int, boundary: Indices) -> Indices:
     edges: Indices = boundary[np.isin(boundary, nodes).all(axis=1)]
-    lonely = np.setdiff1d(nodes, edges)
-    if lonely.size:
-        fault = "is not on the mesh's boundary" if not np.isin(lonely[0], boundary) else "has no other beside it"
+    alone = np.setdiff1d(nodes, edges)
+    if alone.size:
+        fault = "is not on the mesh's boundary" if not np.isin(alone[0], boundary) else "has no other beside it"
         raise NumericsError(
-            f"electrode {number}: node {lonely[0]} {fault}; an electrode's nodes are joined by edges of the boundary",
+            f"electrode {number}: node {alone[0]} {fault}; an electrode's nodes are joined by edges of the boundary",
             remedy="name all its nodes; for an electrode that is a single point use"
             " cbsr_qa.eit.forward.model.point_model",
         )
@@ -300,10 +300,10 @@ def _edges_between(nodes: Indices, number: int, boundary: Indices) -> Indices:
 def _edges_at(place: ElectrodeAt, number: int, mesh: Mesh, boundary: Indices) -> Indices:
     centre_mm, ends = np.array([place.x_mm, place.y_mm]), mesh.nodes_mm[boundary]
     to_middle = np.hypot(*(ends.mean(axis=1) - centre_mm).T)
-    chosen: Indices = boundary[to_middle <= place.width_mm / 2 * (1 + 1e-9)]
-    covered_mm = float(np.hypot(*(mesh.nodes_mm[chosen[:, 1]] - mesh.nodes_mm[chosen[:, 0]]).T).sum())
+    covered_edges: Indices = boundary[to_middle <= place.width_mm / 2 * (1 + 1e-9)]
+    covered_mm = float(np.hypot(*(mesh.nodes_mm[covered_edges[:, 1]] - mesh.nodes_mm[covered_edges[:, 0]]).T).sum())
     if covered_mm >= _LEAST_COVERED * place.width_mm:
-        return chosen
+        return covered_edges
     electrode_name = f"electrode {number} at ({place.x_mm:g}, {place.y_mm:g}) mm"
     edge_vectors = ends[:, 1] - ends[:, 0]
     share = np.clip(((centre_mm - ends[:, 0]) * edge_vectors).sum(axis=1) / (edge_vectors**2).sum(axis=1), 0, 1)

@@ -57,9 +57,11 @@ def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> M
         raise RefusedError(
             f"sensor type {sensor_type.name!r}: {subject} {problem}", remedy="move it, or make it narrower"
         )
-    narrow = width_problem(electrodes, sensor_type.outline.radius_mm)
-    if narrow is not None:
-        raise RefusedError(f"sensor type {sensor_type.name!r}: the electrodes' width {narrow}", remedy="change it")
+    width_fault = width_problem(electrodes, sensor_type.outline.radius_mm)
+    if width_fault is not None:
+        raise RefusedError(
+            f"sensor type {sensor_type.name!r}: the electrodes' width {width_fault}", remedy="change it"
+        )
     frame = _Frame.for_outline(sensor_type.outline)
     curve, radius = frame.curve, frame.radius
     places, width = frame.to_frame(electrodes.positions_mm()), electrodes.width_mm

@@ -134,9 +134,9 @@ def _check_number(points: int, on_outline: int) -> None:
 
 def _spread(points: Points, distance: Array) -> Indices:
     """Take points in order, leaving out those too close to one already taken."""
-    near = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
+    near_points = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
     dropped = np.zeros(len(points), dtype=bool)
-    for index, neighbours in enumerate(near):
+    for index, neighbours in enumerate(near_points):
         if not dropped[index]:
             later = np.asarray(neighbours)
             dropped[later[later > index]] = True
@@ -157,11 +157,11 @@ def _smooth(outline: Outline, points: Points, elements: Indices) -> Points:
     np.add.at(move, first_end, -push)
     np.add.at(move, second_end, push)
     fixed = len(outline.points)
-    moved = points.copy()
-    moved[fixed:] += 0.2 * move[fixed:]
-    is_stray = outline.clearance(moved[fixed:]) < 0.3 * outline.size(moved[fixed:])
-    moved[fixed:][is_stray] = points[fixed:][is_stray]
-    return moved
+    moved_points = points.copy()
+    moved_points[fixed:] += 0.2 * move[fixed:]
+    is_stray = outline.clearance(moved_points[fixed:]) < 0.3 * outline.size(moved_points[fixed:])
+    moved_points[fixed:][is_stray] = points[fixed:][is_stray]
+    return moved_points
 
 
 def twice_area(points: Points, elements: Indices) -> Array:

@@ -183,7 +183,7 @@ class EmulatedApplicator:
             self._speed_mm_s = speed / 60
         origin = self._target_mm()
         goal_mm = [self._goal_of(axis, parameters) for axis in range(3)]
-        x, y, z = (min(max(to, 0.0), most) for to, most in zip(goal_mm, REACH_MM, strict=True))
+        x, y, z = (min(max(target_mm, 0.0), reach_mm) for target_mm, reach_mm in zip(goal_mm, REACH_MM, strict=True))
         distances_mm = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
         length = sum(way**2 for way in distances_mm) ** 0.5
         slowest_s = max(

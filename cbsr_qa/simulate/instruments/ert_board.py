@@ -95,14 +95,14 @@ class EmulatedErtBoard:
         self._silent = fault is Fault.SILENCE
         if fault is Fault.RESET:
             return self.misbehave(fault)
-        sent = self._encode_row(row)
+        row_bytes = self._encode_row(row)
         if fault is Fault.GARBLE:
-            sent = sent[:7] + sent[8:]
+            row_bytes = row_bytes[:7] + row_bytes[8:]
         if fault is Fault.STALE:
-            sent = self._last + sent
-        self._last = sent
+            row_bytes = self._last + row_bytes
+        self._last = row_bytes
         if not self._silent:
-            self._send(sent)
+            self._send(row_bytes)
         return None
 
     def _encode_row(self, row: int) -> bytes:

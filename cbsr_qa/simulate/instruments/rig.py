@@ -75,10 +75,10 @@ class EmulatedRig:
             return Electrical(0.0, 0.0, limited=False)
         frame, channel = self.frame(), (wiring.drive, wiring.measure)
         ohm = float(frame.drive_ohm[channel])
-        limited = abs(wiring.current_A) * ohm > wiring.limit_V
-        flowing_A = math.copysign(wiring.limit_V / ohm, wiring.current_A) if limited else wiring.current_A
+        is_limited = abs(wiring.current_A) * ohm > wiring.limit_V
+        flowing_A = math.copysign(wiring.limit_V / ohm, wiring.current_A) if is_limited else wiring.current_A
         per_ampere = float(frame.voltages[channel]) / float(frame.current_A[channel])
-        return Electrical(per_ampere * flowing_A, flowing_A, limited)
+        return Electrical(per_ampere * flowing_A, flowing_A, is_limited)
 
     def frame(self) -> SimulatedFrame:
         """Readings of the multiplexer's current round, at its middle [V at the scene's current].

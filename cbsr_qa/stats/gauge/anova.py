@@ -104,9 +104,11 @@ def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
 def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Array], confidence: float) -> Interval:
     """Return the interval of a function (k, draws) → (draws,) of the true mean squares; draws have a fixed seed."""
     random = np.random.default_rng(20000415)
-    drawn = np.array([square.freedom * square.value / random.chisquare(square.freedom, _DRAWS) for square in squares])
+    drawn_variances = np.array(
+        [square.freedom * square.value / random.chisquare(square.freedom, _DRAWS) for square in squares]
+    )
     tail = (1 - confidence) / 2
-    low, high = np.quantile(function(drawn), [tail, 1 - tail])
+    low, high = np.quantile(function(drawn_variances), [tail, 1 - tail])
     return Interval(float(low), float(high), confidence)
 
 

@@ -266,15 +266,17 @@ def small_sample(sums: RandomEffectSums, ratio: float) -> SmallSample:
     def random_products(power: int, times: int) -> Array:
         return sums.products(ratio, power, times)[:-1, :-1]
 
-    plain = np.asarray(np.linalg.inv(inner + random_products(1, 0)), dtype=np.float64)
+    plain_covariance = np.asarray(np.linalg.inv(inner + random_products(1, 0)), dtype=np.float64)
     slopes: Array = -np.stack([inner + random_products(2, 0), random_products(2, 1)])
     mixed = random_products(3, 1)
     curves: Array = np.array([[inner + random_products(3, 0), mixed], [mixed, random_products(3, 2)]])
-    variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
-    squares = (slopes @ plain)[:, None] @ slopes
+    variances = np.asarray(
+        np.linalg.inv(_information(sums, ratio, plain_covariance, slopes, curves)), dtype=np.float64
+    )
+    squares = (slopes @ plain_covariance)[:, None] @ slopes
     lost = np.einsum("ij,ijkl->kl", variances, curves - squares)
-    adjusted = plain + 2 * plain @ lost @ plain
-    return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
+    adjusted = plain_covariance + 2 * plain_covariance @ lost @ plain_covariance
+    return SmallSample(plain_covariance, 0.5 * (adjusted + adjusted.T), slopes, variances)
 
 
 def _information(sums: RandomEffectSums, ratio: float, plain: Array, slopes: Array, curves: Array) -> Array:

@@ -62,14 +62,14 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
         Too few values, or equal values in the reference.
     """
     count = len(values)
-    single = tuple(range(count))
+    single_ends = tuple(range(count))
     rules = [RULES[number] for number in settings.rules]
     match settings.chart:
         case ChartKind.INDIVIDUALS:
-            main_chart = Charted(individuals(values, reference=reference, rules=rules), single)
+            main_chart = Charted(individuals(values, reference=reference, rules=rules), single_ends)
             if count < 2:
                 return (main_chart,)
-            return main_chart, Charted(moving_range(values, reference=reference), single[1:])
+            return main_chart, Charted(moving_range(values, reference=reference), single_ends[1:])
         case ChartKind.MEANS:
             size = settings.subgroup
             groups = [values[begin : begin + size] for begin in range(0, count - size + 1, size)]
@@ -78,10 +78,12 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
                 raise NumericsError(f"{count} values make no group of {size}")
             return tuple(Charted(chart, ends) for chart in means_and_ranges(groups, reference=reference, rules=rules))
         case ChartKind.EWMA:
-            return (Charted(ewma(values, weight=settings.weight, width=settings.width, reference=reference), single),)
+            return (
+                Charted(ewma(values, weight=settings.weight, width=settings.width, reference=reference), single_ends),
+            )
         case ChartKind.CUSUM:
             cusum_charts = cusum(values, slack=settings.slack, threshold=settings.threshold, reference=reference)
-            return tuple(Charted(chart, single) for chart in cusum_charts)
+            return tuple(Charted(chart, single_ends) for chart in cusum_charts)
 
 
 def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
@@ -106,8 +108,8 @@ def standing(
     if not active_signals:
         return None
     begin = active_signals[0][0]
-    began = _sum_began(charts, begin)
-    first_line, first_summed_line = lines[begin], None if began is None else lines[began]
+    shift_begin = _sum_began(charts, begin)
+    first_line, first_summed_line = lines[begin], None if shift_begin is None else lines[shift_begin]
     return StandingSignal(
         reference.label,
         tuple(dict.fromkeys(rule for _, chart_rules in active_signals for rule in chart_rules)),
@@ -115,7 +117,7 @@ def standing(
         first_line.serial,
         first_line.started_at,
         len(lines) - begin,
-        cut and (begin < JOINED * reference.subgroup or began == 0),
+        cut and (begin < JOINED * reference.subgroup or shift_begin == 0),
         *(
             ()
             if first_summed_line is None

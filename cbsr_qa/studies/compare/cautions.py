@@ -126,10 +126,10 @@ def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
         return
     for station, members in _group_by_station(run for run in runs if abs(away.get(run.run, 0.0)) > 1):
         days = median(away[run.run] for run in members)
-        began = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
+        start_days = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
         side = "later" if days > 0 else "earlier"
         yield _IDENTIFIERS.format(
-            station=station, runs=_runs(members), first=began[0], last=began[-1], days=abs(days), side=side
+            station=station, runs=_runs(members), first=start_days[0], last=start_days[-1], days=abs(days), side=side
         )
 
 

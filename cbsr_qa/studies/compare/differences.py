@@ -252,13 +252,18 @@ def _robust(
             _subtract_stations(values[1], stations[1], effects),
         )
     try:
-        moved = shift(*level, confidence=terms.confidence, names=names)
+        shift_estimate = shift(*level, confidence=terms.confidence, names=names)
     except NumericsError:
         return None
     try:
-        return Robust(moved.value, moved.interval, brunner_munzel(*level, names=names).p_value, "Brunner–Munzel")
+        return Robust(
+            shift_estimate.value,
+            shift_estimate.interval,
+            brunner_munzel(*level, names=names).p_value,
+            "Brunner–Munzel",
+        )
     except NumericsError:  # groups that do not overlap, or of a single sensor
-        return Robust(moved.value, moved.interval, moved.p_value, "Mann–Whitney")
+        return Robust(shift_estimate.value, shift_estimate.interval, shift_estimate.p_value, "Mann–Whitney")
 
 
 def _subtract_stations(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:

@@ -59,9 +59,9 @@ def sections(comparison: Comparison) -> Iterator[Section]:
         ("Values of each group", (*_values_table(comparison), *_capability_table(comparison)), True),
         ("Rules", map(Paragraph, comparison.rules), True),
     ):
-        laid_out = tuple(blocks)
-        if laid_out:
-            yield Section(title, laid_out, page_only)
+        section_blocks = tuple(blocks)
+        if section_blocks:
+            yield Section(title, section_blocks, page_only)
 
 
 def _difference_tables(comparison: Comparison) -> Iterator[Table]:
@@ -117,14 +117,14 @@ def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) 
     pair = next((difference for difference in metric.differences if difference.group == group), None)
     if pair is None or pair.difference is None:
         return *first_cells, _NONE, _NONE, _NONE, "not tested", _NONE
-    hopeless = abs(pair.difference) >= margin
+    is_hopeless = abs(pair.difference) >= margin
     return (
         *first_cells,
         number(pair.difference),
         _ends(pair.equivalence_interval),
         _p(pair.equivalence_p),
         "yes" if pair.equivalent else "not shown",
-        "not possible" if hopeless else _count(pair.sensors_to_show_alike),
+        "not possible" if is_hopeless else _count(pair.sensors_to_show_alike),
     )
 
 
@@ -180,14 +180,14 @@ def _group_tables(comparison: Comparison) -> Iterator[Table]:
         for of_group in comparison.groups
     ]
     yield from _table(_GROUPS, columns, rows, (1, 2, 5))
-    failed = []
+    failed_rows = []
     for group in comparison.groups:
         total = sum(failure.sensors for failure in group.failures)
-        failed += [
+        failed_rows += [
             (group.name, failure.metric, str(failure.sensors), f"{100 * failure.sensors / total:.0f} %")
             for failure in group.failures[:_MOST_DRAWN]
         ]
-    yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed, (2, 3))
+    yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed_rows, (2, 3))
 
 
 def _select_for_figure(comparison: Comparison) -> list[MetricComparison]:

@@ -106,10 +106,12 @@ def restore(kind: type[T], document: Mapping[str, Any]) -> T:
         piece = adapter.validate_json(json.dumps(document), strict=True)
         complete = adapter.dump_python(piece, mode="json")
         stored = {"pareto": None, **document} if "pareto" in complete else document  # absent in older documents
-        differing = [key for key in {**complete, **stored} if key not in stored or complete.get(key) != stored[key]]
-        if not differing:
+        differing_keys = [
+            key for key in {**complete, **stored} if key not in stored or complete.get(key) != stored[key]
+        ]
+        if not differing_keys:
             return piece
-        why = f"{differing[0]}: incomplete or unknown"
+        why = f"{differing_keys[0]}: incomplete or unknown"
     except ValidationError as error:
         (first, *_) = error.errors()
         why = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

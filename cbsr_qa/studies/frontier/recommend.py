@@ -138,13 +138,13 @@ def recommend(tried: Sequence[tuple[Setting, Point]], target: Target, *, paper: 
 
     RefusedError if no tried setting meets the target; names the nearest.
     """
-    usable = [way for way in tried if _FORCE in way[1].accuracy and way[1].station_s is not None]
+    usable_settings = [way for way in tried if _FORCE in way[1].accuracy and way[1].station_s is not None]
     no_target, force_N = target == Target(), target.force_error_N
     budget_s = USUAL_BUDGET_S if no_target else target.budget_s
-    affordable = [way for way in usable if budget_s is None or _seconds(way) <= budget_s]
+    affordable = [way for way in usable_settings if budget_s is None or _seconds(way) <= budget_s]
     sufficient = [way for way in affordable if force_N is None or _upper_N(way) <= force_N]
     if not sufficient:
-        raise _none(usable, force_N, budget_s)
+        raise _none(usable_settings, force_N, budget_s)
     candidates = plural(len(affordable), "setting") + ("" if budget_s is None else f" within {budget_s / 60:g} min")
     if force_N is not None:
         setting, point = min(sufficient, key=_seconds)

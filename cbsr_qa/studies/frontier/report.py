@@ -71,13 +71,13 @@ def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
 
 
 def _page(frontier: Frontier) -> Page:
-    chosen, points = frontier.recommended, frontier.points
-    banner = Banner("plain", _NONE, "No setting recommended", chosen.why)
+    recommended, points = frontier.recommended, frontier.points
+    banner = Banner("plain", _NONE, "No setting recommended", recommended.why)
     facts = []
-    if chosen.way is not None and chosen.accuracy is not None:
-        force, minutes = _format_accuracy(chosen.accuracy["force_error"]), (chosen.station_s or 0) / 60
-        banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
-        facts = [("Recommended", _setting(chosen.way))]
+    if recommended.way is not None and recommended.accuracy is not None:
+        force, minutes = _format_accuracy(recommended.accuracy["force_error"]), (recommended.station_s or 0) / 60
+        banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", recommended.why)
+        facts = [("Recommended", _setting(recommended.way))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),

@@ -106,13 +106,13 @@ def ways_by_simulation(*, quick: bool) -> Ways:
 
 def station_work(*, quick: bool) -> Iterator[Work]:
     """Yield simulations, longest first, whose results are :class:`Tried`."""
-    mode, seeds, even = ("quick", QUICK_SEEDS, QUICK_EVEN) if quick else ("full", SEEDS, EVEN)
+    mode, seeds, even_setting = ("quick", QUICK_SEEDS, QUICK_EVEN) if quick else ("full", SEEDS, EVEN)
     sweep, choices = f"station {_VERSION}/{cbsr_qa.__version__}", [] if quick else choices_of_even()
     for seed in seeds:
         if not quick:
             paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
             yield Work(f"{sweep}/paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper)
-        even_work = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
+        even_work = partial(try_ways, even_setting, seed, [*parts_of_even(quick=quick), *choices])
         yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", even_work)
     series_by_setting: dict[Setting, list[str]] = {}
     for series, setting in ways_by_simulation(quick=quick):
@@ -217,11 +217,11 @@ def worth_the_station(points: Sequence[Point]) -> list[Point]:
 
 
 def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:
-    refused = [tried.why for tried in group if tried.why]
-    notes = [f"refused on {len(refused)} of {len(group)} sensors: {refused[0]}"] if refused else []
+    refusals = [trial.why for trial in group if trial.why]
+    notes = [f"refused on {len(refusals)} of {len(group)} sensors: {refusals[0]}"] if refusals else []
     accuracy = {}
-    for name in () if refused else UNITS:
-        errors = [tried.errors[name] for tried in group if name in tried.errors]
+    for name in () if refusals else UNITS:
+        errors = [trial.errors[name] for trial in group if name in trial.errors]
         if len(errors) == len(group):
             accuracy[name] = _accuracy(errors, UNITS[name])
         elif errors:

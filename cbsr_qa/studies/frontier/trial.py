@@ -157,14 +157,14 @@ def least_sure_first(run: RunObservation, count: int) -> list[int]:
 
 def _least_certain_places(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
     """The least certain places, apart from each other, or closer if there are no others."""
-    picked: list[int] = []
+    new_places: list[int] = []
     for apart_mm in (_APART_MM, 0.0):
         for k in np.argsort(-variance).tolist():
-            is_taken = k in chosen or k in picked
-            near = any(np.hypot(*(places[k] - places[other])) < apart_mm for other in picked)
-            if len(picked) < count and not is_taken and not near:
-                picked.append(k)
-    return picked
+            is_taken = k in chosen or k in new_places
+            near = any(np.hypot(*(places[k] - places[other])) < apart_mm for other in new_places)
+            if len(new_places) < count and not is_taken and not near:
+                new_places.append(k)
+    return new_places
 
 
 def farthest(run: RunObservation, count: int) -> list[int]:

@@ -33,11 +33,11 @@ def choose_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunL
     _check_known(request, {kind.key for kind in table.kinds})
     figures = _select_locations(request, figures_of(table, by_location=request.by_location))
     series = series_of(runs, figures, tuple(dict.fromkeys(metric.name for metric in request.metrics)))
-    chosen = [toleranced for of_metric in series for toleranced in _add_tolerance(request, of_metric)]
-    if not chosen:
+    metrics = [toleranced for of_metric in series for toleranced in _add_tolerance(request, of_metric)]
+    if not metrics:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
-    _check_references(request, runs, chosen)
-    return chosen
+    _check_references(request, runs, metrics)
+    return metrics
 
 
 def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
@@ -60,7 +60,11 @@ def _select_locations(request: GaugeRequest, figures: Figures) -> Figures:
     if not request.by_location or not figures:
         return figures
     names = {metric.name for metric in request.metrics}
-    located = {key: of for key, of in figures.items() if key.location and (not names or key.name in names)}
+    located = {
+        key: figures_by_run
+        for key, figures_by_run in figures.items()
+        if key.location and (not names or key.name in names)
+    }
     if not located:
         raise RefusedError(
             f"{request.locate('study', 'by_location')}these metrics are not of locations",

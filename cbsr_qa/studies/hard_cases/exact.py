@@ -168,9 +168,9 @@ def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> fl
     conditions = []
     for process in learned.members:
         with mp.workdps(DIGITS):
-            alike = _correlations(places_mm, places_mm, process.smooth, process.length_mm).astype(np.float64)
+            correlations = _correlations(places_mm, places_mm, process.smooth, process.length_mm).astype(np.float64)
         noise = variance + process.scatter**2 + _LEAST_VARIANCE
-        conditions.append(float(np.linalg.cond(process.deviation**2 * alike + np.diag(noise))))
+        conditions.append(float(np.linalg.cond(process.deviation**2 * correlations + np.diag(noise))))
     return max(conditions)
 
 

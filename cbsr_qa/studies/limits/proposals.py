@@ -307,9 +307,9 @@ def _why_no_risks(bounds: Iterable[Bound], uncertainty: Uncertainty | None) -> s
 
 def _failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
     """Name the sensors with this worst outcome over all their runs."""
-    failing = []
+    failing_sensors = []
     for serial, runs in group.sensors.items():
         outcomes = {limit.judge(m.value, m.bound) for run in runs for m in run}
         if outcome in outcomes and (outcome is Outcome.FAIL or Outcome.FAIL not in outcomes):
-            failing.append(serial)
-    return tuple(failing)
+            failing_sensors.append(serial)
+    return tuple(failing_sensors)

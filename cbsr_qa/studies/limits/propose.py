@@ -121,10 +121,10 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
     """Refuse if there is no limit for a named measurement, or for any."""
     for name in names or (None,):
         members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
-        refused = [member for member in members if isinstance(member, NoLimit)]
-        if len(refused) == len(members):
+        refusals = [member for member in members if isinstance(member, NoLimit)]
+        if len(refusals) == len(members):
             reasons = "\n".join(
-                f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refused[:10]
+                f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refusals[:10]
             )
             more_reasons = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
             raise RefusedError(

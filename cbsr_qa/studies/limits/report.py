@@ -126,7 +126,7 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
     for fit in bound.tests:
         best[fit.distribution] = max(fit.p_value, best.get(fit.distribution, 0.0))
     possible = {fit.distribution for fit in bound.tests if not fit.refuted}
-    refuted = [f"{name} ({p_value:.2g})" for name, p_value in best.items() if name not in possible]
+    refuted_names = [f"{name} ({p_value:.2g})" for name, p_value in best.items() if name not in possible]
     itself = "" if values in (1, bound.independent_values) else ", itself"
     logs = " of log" if bound.scale.logarithmic else ""
     return (
@@ -137,7 +137,7 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
         number(bound.worst_mean, 4),
         number(bound.worst_deviation, 4),
         ", ".join(f"{other.distribution} {number(other.limit, 4)}" for other in bound.narrower) or _NONE,
-        ", ".join(refuted) or _NONE,
+        ", ".join(refuted_names) or _NONE,
     )
 
 

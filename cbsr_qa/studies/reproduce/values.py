@@ -176,9 +176,9 @@ def _noise_floor(run: RunObservation, sheet: str) -> Ours:
     frames, problem = run.unloaded.voltages, run.reconstruction.problem
     floors = []
     for start in range(0, len(frames) - _FLOOR_FRAMES + 1, _FLOOR_FRAMES):
-        chosen = np.zeros(len(frames), dtype=np.bool_)
-        chosen[start : start + _FLOOR_FRAMES] = True
-        readings = changes(frames[chosen], frames[~chosen].mean(axis=0), problem, run.scale)
+        is_chosen = np.zeros(len(frames), dtype=np.bool_)
+        is_chosen[start : start + _FLOOR_FRAMES] = True
+        readings = changes(frames[is_chosen], frames[~is_chosen].mean(axis=0), problem, run.scale)
         floors.append(float(np.abs(run.reconstruction.images(readings)).max()))
     if len(floors) < 2:
         return Ours(sheet, None, uncertainty_is="too few unloaded frames")

@@ -58,11 +58,11 @@ class Watched:
 
     def __call__(self, name: str) -> Callable[..., Any]:
         """Find a factory and watch its effects."""
-        plain = self._factory(name)
+        factory = self._factory(name)
 
-        @wraps(plain, updated=())  # a chain inspects its signature
+        @wraps(factory, updated=())  # a chain inspects its signature
         def make(*setting: Any, **parameters: Any) -> Any:
-            effect = plain(*setting, **parameters)
+            effect = factory(*setting, **parameters)
             self.effects[name] = effect
             self.spent_s[name] = 0.0
             for method in ("apply", "design", "record"):
@@ -158,7 +158,7 @@ class _Bench:
     def within_ms(self) -> dict[str, float]:
         """Time per frame within each effect."""
         frames = [self._watched.within(partial(self._take_frame, self._seen, index)) for index in self._loaded]
-        return {name: 1e3 * median(each[name] for each in frames) for name in self._watched.effects}
+        return {name: 1e3 * median(spent_s[name] for spent_s in frames) for name in self._watched.effects}
 
     def once_ms(self) -> dict[str, float]:
         """Total time within each effect outside frames."""
@@ -236,7 +236,7 @@ def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
 def _choose_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
     """A few frames in the middle of holds, or spread over the recording."""
     times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
-    middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)
+    middles = sorted((press.down_s + press.lifts_s) / 2 for press in times)
     frames: Iterable[int] = (int(middle / plan.scene.frame_period_s) for middle in middles)
     loaded = sorted({min(frame, plan.frame_count - 1) for frame in frames}) or range(plan.frame_count)
     return [loaded[int(k)] for k in np.unique(np.linspace(0, len(loaded) - 1, _FRAMES).astype(int))]

@@ -88,16 +88,16 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
 
     RefusedError if a format cannot hold such a recording, or a file exists by now.
     """
-    begun: list[Path] = []
+    begun_paths: list[Path] = []
     try:
         written: list[Written] = []
         for target in targets:
             if os.path.lexists(target.path):  # the simulation takes a while; files created meanwhile are the user's
                 raise RefusedError(f"{target.path} was created in the meantime", remedy="name another file")
-            begun.append(target.path)
+            begun_paths.append(target.path)
             written.append(_write_target(recorded, target))
     except BaseException:
-        for path in begun:
+        for path in begun_paths:
             with suppress(OSError):  # a folder, or an impossible file name
                 path.unlink()
         raise

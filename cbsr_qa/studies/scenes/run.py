@@ -141,10 +141,10 @@ def simulate_to_memory(
     """
     plugins = discover()
     setup = set_up(scene, plugins, recorded=True)
-    chosen = setup.plan.seed or 0 if seed is None else seed
-    world = _world(setup, plugins, chosen, tell)
+    chosen_seed = setup.plan.seed or 0 if seed is None else seed
+    world = _world(setup, plugins, chosen_seed, tell)
     recorded, remarks = _record(world, setup, plugins, tell, progress)
-    run = _scene_run(setup, chosen, recorded, (), remarks)
+    run = _scene_run(setup, chosen_seed, recorded, (), remarks)
     return SimulatedScene(run, recorded.recording, setup.sensor_type.value)
 
 

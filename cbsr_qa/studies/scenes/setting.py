@@ -107,13 +107,13 @@ def make_world(
     ConfigError
         If its effects do not fit together, with the scene's file.
     """
-    chosen = setup.plan if plan is None else plan
+    chosen_plan = setup.plan if plan is None else plan
     with naming(setup.label):
         return SimulatedWorld(
-            chosen.scene,
+            chosen_plan.scene,
             setup.sensor_type.value,
             setup.material.value,
-            chosen.indenter,
+            chosen_plan.indenter,
             seed=seed,
             effect_factory=effect_factory,
             sheet=sheet,

@@ -234,10 +234,10 @@ class _Search:
         self._seen = {}
         ends = self._ends(target) if np.isfinite(target) and target > 0 else None
         if ends is None:
-            reached = [self._figure(value) for value in (_HIGHEST, _LOWEST)]
+            reached_figures = [self._figure(value) for value in (_HIGHEST, _LOWEST)]
             raise NumericsError(
                 f"noise figure {target} cannot be reached by greit; this problem allows"
-                f" {reached[0]:.3g} to {reached[1]:.3g}",
+                f" {reached_figures[0]:.3g} to {reached_figures[1]:.3g}",
                 remedy="give a noise figure in that range, or the hyperparameter itself",
             )
 
@@ -251,7 +251,7 @@ class _Search:
         value = exactly.get(root, float(np.exp(root)))
         self._seen[value] = self.find_matrix(value).noise_figure  # and its matrix is cached
         searched = np.array(sorted(self._seen))
-        return GreitChoice(value, searched, np.array([self._seen[each] for each in searched]))
+        return GreitChoice(value, searched, np.array([self._seen[hyperparameter] for hyperparameter in searched]))
 
     def _figure(self, hyperparameter: float) -> float:
         """Noise figure of a λ, cached for the search."""

@@ -95,15 +95,15 @@ class AbsoluteImages:
         model = SheetModel(problem, expected.mesh_size)
         variance = expected.deviation(problem) ** 2 * model.fold.variance
         reference, scale = _reference_state(problem, expected, model, variance)
-        spread, reason = expected.choose_spread(problem)
+        spread, description = expected.choose_spread(problem)
         length_mm = expected.load_length * problem.sensor_type.radius_mm
         # A contact changes as little as conductance does; otherwise it would explain too much.
         load_prior = SheetPrior.from_mesh(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
         linearised = Linearised(reference.solved, load_prior, variance)
         figure = _noise_figure(problem, model, linearised)
-        reason = f"{reason}; {_describe_reference(problem, reference)}"
+        description = f"{description}; {_describe_reference(problem, reference)}"
         criterion = "noise-figure" if expected.load_spread is None else "given"
-        choice = ParameterChoice(spread, reason, figure, "spread of ln γ under loads", criterion=criterion)
+        choice = ParameterChoice(spread, description, figure, "spread of ln γ under loads", criterion=criterion)
         return cls(method, problem, choice, expected, model, reference, scale, linearised, load_prior)
 
     def images(self, changes: Array) -> Array:

@@ -48,14 +48,14 @@ def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None)
 
 
 def _page(frontier: Frontier, name: str) -> Page:
-    chosen = frontier.recommended
-    banner = Banner("plain", "–", "No number of presses recommended", chosen.why)
-    if chosen.setting is not None and chosen.accuracy is not None:
-        headline = f"{chosen.setting['presses']} presses: {_format_accuracy(chosen.accuracy[PLACE])} mm"
-        banner = Banner("pass", "✓", headline, chosen.why)
+    recommended = frontier.recommended
+    banner = Banner("plain", "–", "No number of presses recommended", recommended.why)
+    if recommended.setting is not None and recommended.accuracy is not None:
+        headline = f"{recommended.setting['presses']} presses: {_format_accuracy(recommended.accuracy[PLACE])} mm"
+        banner = Banner("pass", "✓", headline, recommended.why)
     facts = [("Recording", name)]
-    if chosen.station_s is not None:
-        facts.append(("Time of these presses", f"{duration(chosen.station_s)} at the pace of the table"))
+    if recommended.station_s is not None:
+        facts.append(("Time of these presses", f"{duration(recommended.station_s)} at the pace of the table"))
     if frontier.quick:
         facts.append(("Sweep", "quick: few draws"))
     return Page("Frontier", "What accuracy costs in presses", banner, tuple(facts))

@@ -177,9 +177,9 @@ def registration_far_from_the_origin() -> Answer:
     turn = 1.02 * np.exp(0.1j)
     p = NINE[:, 0] + 1j * NINE[:, 1]
     q = turn * p
-    near = np.column_stack([p.real, p.imag]) + offset_mm
-    far = np.column_stack([q.real, q.imag]) - 3 * offset_mm
-    registered = register(near, far)
+    near_places = np.column_stack([p.real, p.imag]) + offset_mm
+    far_places = np.column_stack([q.real, q.imag]) - 3 * offset_mm
+    registered = register(near_places, far_places)
     error = max(relative_error(registered.scale, mpmath.mpf("1.02")), abs(np.radians(registered.rotation_deg) - 0.1))
     condition = 3 * offset_mm / float(np.abs(p).max())
     return answer_from_condition(float(error), condition)

@@ -169,10 +169,14 @@ def centre_of_mass_far_from_the_origin() -> Answer:
     y, x = np.mgrid[:_SIDE, :_SIDE]
     values = 1.0 + 0.01 * x + 0.02 * y
     offset_mm = 1e6
-    near = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
-    far = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (offset_mm, offset_mm))), (0.5,))[0][0].centre_mm()
-    condition = offset_mm / float(near.min())
-    return answer_from_condition(largest_relative_error(far - offset_mm, near.tolist()), condition)
+    near_centre_mm = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
+    far_centre_mm = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (offset_mm, offset_mm))), (0.5,))[0][
+        0
+    ].centre_mm()
+    condition = offset_mm / float(near_centre_mm.min())
+    return answer_from_condition(
+        largest_relative_error(far_centre_mm - offset_mm, near_centre_mm.tolist()), condition
+    )
 
 
 @AREA.against("no element above it")

@@ -81,10 +81,10 @@ def _noise(offset: float, beginning_s: float) -> Answer:
     random = np.random.default_rng(_SEED)
     noise = np.round(random.standard_normal((30, 40)) * 2**10) / 2**30
     time_s = np.arange(30) / 4.0
-    plain = reading_noise(noise, time_s).variance
+    variance = reading_noise(noise, time_s).variance
     computed = reading_noise(noise + offset, time_s + beginning_s).variance
     condition = offset / float(noise.std()) + beginning_s / 7.5
-    return answer_from_condition(apart(computed, plain), condition)
+    return answer_from_condition(apart(computed, variance), condition)
 
 
 _WHOLE: Final = "the same numbers, as whole fractions"
@@ -193,9 +193,9 @@ def nonsense_in_masked_channels() -> Answer:
 @AREA.against("weighted means as whole fractions")
 def reciprocal_readings_twelve_decades_apart() -> Answer:
     """Reciprocal readings with noise variances up to twelve decades apart."""
-    plain = usual_problem()
-    decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain.reference)))
-    problem = replace(plain, noise_variance=10**decades)
+    plain_problem = usual_problem()
+    decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain_problem.reference)))
+    problem = replace(plain_problem, noise_variance=10**decades)
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
     fold = ReadingFold.from_problem(problem)
     computed = fold.fold(readings[None])[0]

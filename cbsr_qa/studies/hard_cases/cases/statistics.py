@@ -170,10 +170,10 @@ def noise_on_an_offset_of_a_million() -> Answer:
     offset, frames = 1e6, 60
     readings = np.random.default_rng(_SEED).standard_normal((frames, 25))
     time_s: Array = np.arange(float(frames))
-    plain = reading_noise(readings, time_s).variance
-    far = reading_noise(offset + readings, 1.7e9 + time_s).variance
-    condition = 2 * offset / float(np.sqrt(plain.min()))
-    return answer_from_condition(largest_relative_error(far, plain.tolist()), condition)
+    plain_variance = reading_noise(readings, time_s).variance
+    offset_variance = reading_noise(offset + readings, 1.7e9 + time_s).variance
+    condition = 2 * offset / float(np.sqrt(plain_variance.min()))
+    return answer_from_condition(largest_relative_error(offset_variance, plain_variance.tolist()), condition)
 
 
 @AREA.refuses(NumericsError)
