@@ -166,10 +166,8 @@ class Patch:
         """
         if 1 < len(strengths) <= _MOST_WEAK and sum(map(abs, strengths)) <= WEAK:
             linear, quadratic = self._weak
-            strength_array = np.asarray(strengths)
-            powers = np.concatenate(
-                [strength_array, np.outer(strength_array, strength_array)[np.triu_indices(len(strength_array))]]
-            )
+            vector = np.asarray(strengths)
+            powers = np.concatenate([vector, np.outer(vector, vector)[np.triu_indices(len(vector))]])
             return np.tensordot(powers, np.concatenate([linear, quadratic]), 1)
         return self._exact(strengths)
 

@@ -95,14 +95,12 @@ class LocalUpdate:
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
         """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential."""
-        old_impedance = self.model.contact_impedance
-        if impedance is None or np.array_equal(impedance, old_impedance):
-            return None, np.zeros((len(old_impedance), len(old_impedance)))
-        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), old_impedance.shape)
+        old = self.model.contact_impedance
+        if impedance is None or np.array_equal(impedance, old):
+            return None, np.zeros((len(old), len(old)))
+        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), old.shape)
         lengths = self.model.prepared.contacts.lengths_mm
-        return (old_impedance - impedance) / (old_impedance * impedance), np.diag(
-            (impedance - old_impedance) / lengths
-        )
+        return (old - impedance) / (old * impedance), np.diag((impedance - old) / lengths)
 
     def _check_change(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)
