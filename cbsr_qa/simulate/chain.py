@@ -21,7 +21,7 @@ from cbsr_qa.system.words import quote_value
 #: ``effect_factory(name)`` returns the factory of an effect: ``factory(setting, **parameters)``.
 EffectFactory = Callable[[str], Callable[..., Any]]
 
-#: What an effect may perturb, in the order of evaluation.
+#: Quantities that an effect may perturb, in the order of evaluation.
 STAGES: Final = (
     "sheet",
     "position",
@@ -43,7 +43,7 @@ _OWN_METHODS: Final[Mapping[str, tuple[str, type]]] = {
     "recording": ("record(transcript)", RecordingEffect),
 }
 
-#: What effects of a stage change in a moment, and must leave finite.
+#: Attributes of a moment that the effects of a stage change, and must leave finite.
 _CHANGED: Final[Mapping[str, tuple[str, ...]]] = {
     "position": ("place_mm", "depth_mm"),
     "geometry": ("surface_mm",),
@@ -62,11 +62,11 @@ class Chain:
     """The enabled effects by stage, each stage in the scene's order."""
 
     def __init__(self, effects: Iterable[tuple[str, AnyEffect]]) -> None:
-        named = tuple(effects)
-        self.names = tuple(name for name, _ in named)
-        self._sheet = tuple((name, e) for name, e in named if isinstance(e, SheetEffect))
-        self._recording = tuple((name, e) for name, e in named if isinstance(e, RecordingEffect))
-        self._stages = {stage: tuple(_select_stage(named, stage)) for stage in STAGES}
+        named_effects = tuple(effects)
+        self.names = tuple(name for name, _ in named_effects)
+        self._sheet = tuple((name, e) for name, e in named_effects if isinstance(e, SheetEffect))
+        self._recording = tuple((name, e) for name, e in named_effects if isinstance(e, RecordingEffect))
+        self._stages = {stage: tuple(_select_stage(named_effects, stage)) for stage in STAGES}
 
     def has(self, stage: str) -> bool:
         return bool(self._stages[stage])
@@ -105,8 +105,8 @@ class Chain:
             finally:
                 end_copy(process)
             if not finite:
-                what = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
-                raise PluginError(f"{what} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
+                problem = f"effect {name!r} leaves {' or '.join(_CHANGED[stage])} with non-finite values"
+                raise PluginError(f"{problem} at {moment.time_s:.6g} s", remedy="give it smaller parameters")
 
     def switches(self, moment: Moment, first_s: float, last_s: float) -> list[float]:
         """Times after the first and up to the last [s] at which the impedance jumps."""
@@ -165,14 +165,14 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
     acts ``after``, perturbs nothing known, or gets an unknown parameter; PluginError if it does not exist (raised by
     ``effect_factory``). ``effect_factory``: finds an effect's factory by name; called for enabled effects only.
     """
-    made: dict[str, AnyEffect] = {}
+    effects_by_name: dict[str, AnyEffect] = {}
     for choice in scene.effects:
-        if choice.name in made:
+        if choice.name in effects_by_name:
             raise ConfigError(f"scene {scene.name!r} lists effect {choice.name!r} twice", remedy="remove one of them")
         effect = _make(scene.name, choice, setting, effect_factory(choice.name))
-        _check_needs(scene, choice.name, effect, made)
-        made[choice.name] = effect
-    return Chain(made.items())
+        _check_needs(scene, choice.name, effect, effects_by_name)
+        effects_by_name[choice.name] = effect
+    return Chain(effects_by_name.items())
 
 
 def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]) -> AnyEffect:
@@ -183,8 +183,8 @@ def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Call
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error
     except BaseException as error:
-        what = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
-        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be created: {what}") from error
+        reason = str(error) if isinstance(error, TypeError | ValueError) else failure(error)
+        raise ConfigError(f"scene {scene!r}, effect {choice.name!r} cannot be created: {reason}") from error
     _check_names(choice.name, effect)
     if effect.perturbs not in STAGES:
         raise ConfigError(
@@ -208,17 +208,17 @@ def _check_names(name: str, effect: Any) -> None:
             f"effect {name!r} names no stage: perturbs = {quote_value(perturbs)}",
             remedy=f"allowed: {', '.join(STAGES)}",
         )
-    for which, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):
-        if not isinstance(names, tuple | list) or not all(isinstance(each, str) for each in names):
+    for attribute, names in (("needs", getattr(effect, "needs", None)), ("after", getattr(effect, "after", ()))):
+        if not isinstance(names, tuple | list) or not all(isinstance(effect_name, str) for effect_name in names):
             raise ConfigError(
-                f"effect {name!r} has {which} = {quote_value(names)}", remedy="it must be a tuple of effect names"
+                f"effect {name!r} has {attribute} = {quote_value(names)}", remedy="it must be a tuple of effect names"
             )
 
 
 def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[str]) -> None:
-    on = {choice.name for choice in scene.effects}
+    active_names = {choice.name for choice in scene.effects}
     for need in effect.needs:
-        if need not in on:
+        if need not in active_names:
             raise ConfigError(
                 f"scene {scene.name!r} uses effect {name!r} without {need!r}",
                 remedy=f'add [[effects]] name = "{need}" before it, or remove {name!r}',
@@ -229,14 +229,14 @@ def _check_needs(scene: Scene, name: str, effect: AnyEffect, before: Iterable[st
                 remedy=f"move {need!r} above {name!r}",
             )
     for earlier in getattr(effect, "after", ()):
-        if earlier in on and earlier not in before:
+        if earlier in active_names and earlier not in before:
             raise ConfigError(
                 f"scene {scene.name!r} lists effect {name!r} before {earlier!r}, which it acts on",
                 remedy=f"move {earlier!r} above {name!r}",
             )
 
 
-#: In words, for every scene; docs/explanation/simulation.md lists the omissions of each effect.
+#: Omissions of every scene, in words; docs/explanation/simulation.md lists the omissions of each effect.
 NOT_MODELLED: Final[tuple[str, ...]] = (
     "the third dimension of the sheet, and heating by the current",
     "capacitance: currents are direct",

@@ -8,7 +8,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.world import SceneSetting
 from cbsr_qa.plugin.options import PluginOptions
 
-#: Above any quantity of a scene: its square is still finite, and so is its ratio to the smallest relevant one.
+#: Bound above any quantity of a scene: its square is still finite, and so is its ratio to the smallest relevant one.
 BEYOND: Final = 1e15
 
 Amount = Annotated[float, Field(ge=0, le=BEYOND)]
@@ -46,6 +46,6 @@ def check_at_most(name: str, value: float, most: float, why: str) -> None:
 
 def check_electrode(name: str, value: int, setting: SceneSetting) -> None:
     """Refuse an electrode that the sensor type lacks (ConfigError)."""
-    last = setting.sensor_type.electrodes.count - 1
-    if value > last:
-        raise ConfigError(f"{name} is {value}", remedy=f"electrodes are numbered from 0 to {last}")
+    last_number = setting.sensor_type.electrodes.count - 1
+    if value > last_number:
+        raise ConfigError(f"{name} is {value}", remedy=f"electrodes are numbered from 0 to {last_number}")

@@ -25,7 +25,7 @@ class SimulatedRing:
 
     Parameters
     ----------
-    design : of the replaced sheet; its electrodes are the ring's terminals.
+    design : design of the replaced sheet; its electrodes are the ring's terminals.
     resistances_ohm : the first between electrodes 0 and 1, the last between the last one and 0.
     """
 
@@ -57,7 +57,7 @@ class SimulatedRing:
         return 0.0
 
 
-#: Relative conductance changes below this are not solved for. A used reading changes by less than that, in units of
+#: Relative conductance change below which nothing is solved. A used reading changes by less than that, in units of
 #: the mean reading, even with the head beside a pin: the error is three orders below the noise of the quieter shipped
 #: material (1.9e-4 in the same units).
 NEGLIGIBLE_CHANGE: Final = 1e-7
@@ -72,8 +72,8 @@ class SimulatedFrame:
     Parameters
     ----------
     voltages : (drives, measures) [V].
-    flags : (drives, measures) uint8 of :class:`cbsr_qa.domain.readings.frames.ReadingFlag`.
-    time_s : (drives, measures) of each reading on the station's clock; None if all are simultaneous.
+    flags : (drives, measures) uint8 flags of :class:`cbsr_qa.domain.readings.frames.ReadingFlag`.
+    time_s : (drives, measures) time of each reading on the station's clock; None if all are simultaneous.
     current_A : (drives, measures) current during each reading.
     drive_ohm : (drives, measures) resistance of its driven pair at that time.
     """
@@ -136,16 +136,18 @@ class FrameMaker:
             return middle, self._sheet.readings(middle), drive_ohm, measure_ohm
         first_s, last_s = float(moment.time_s + offsets.min()), float(moment.time_s + offsets.max())
         knots = _knots(moment.presses, self._chain.switches(moment, first_s, last_s), first_s, last_s)
-        at = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
-        own = int(np.abs(at - moment.time_s).argmin())
-        among = abs(at[own] - moment.time_s) <= 4 * np.spacing(moment.time_s)
-        others = np.delete(at, own) if among else at
-        middle, *solved = self._impedances([moment, *(moment_at(float(time_s)) for time_s in others)], contact_mm)
-        if among:
-            solved.insert(own, middle)
-        readings = np.array([self._sheet.readings(impedance) for impedance in solved])
+        times_s = np.concatenate([knots, (knots[1:] + knots[:-1]) / 2])
+        middle_index = int(np.abs(times_s - moment.time_s).argmin())
+        has_middle = abs(times_s[middle_index] - moment.time_s) <= 4 * np.spacing(moment.time_s)
+        other_times_s = np.delete(times_s, middle_index) if has_middle else times_s
+        middle, *impedances = self._impedances(
+            [moment, *(moment_at(float(time_s)) for time_s in other_times_s)], contact_mm
+        )
+        if has_middle:
+            impedances.insert(middle_index, middle)
+        readings = np.array([self._sheet.readings(impedance) for impedance in impedances])
         drive_ohm, measure_ohm = (
-            np.array([_pair_resistance(pairs, impedance) for impedance in solved])
+            np.array([_pair_resistance(pairs, impedance) for impedance in impedances])
             for pairs in (self._driven, self._measured)
         )
         weights = _weights(knots, moment.time_s + offsets)
@@ -211,12 +213,12 @@ def _weights(knots: Array, times_s: Array) -> Array:
     count = len(knots)
     piece = np.clip(np.searchsorted(knots, times_s, side="right") - 1, 0, count - 2)
     length = knots[piece + 1] - knots[piece]
-    share = np.where(length > 0, (times_s - knots[piece]) / np.where(length > 0, length, 1), 0.0)
+    piece_share = np.where(length > 0, (times_s - knots[piece]) / np.where(length > 0, length, 1), 0.0)
     weights = np.zeros((2 * count - 1, *times_s.shape))
     for node, value in (
-        (piece, (1 - share) * (1 - 2 * share)),
-        (piece + 1, share * (2 * share - 1)),
-        (count + piece, 4 * share * (1 - share)),
+        (piece, (1 - piece_share) * (1 - 2 * piece_share)),
+        (piece + 1, piece_share * (2 * piece_share - 1)),
+        (count + piece, 4 * piece_share * (1 - piece_share)),
     ):
         np.put_along_axis(weights, node[None], np.take_along_axis(weights, node[None], 0) + value, 0)
     return weights

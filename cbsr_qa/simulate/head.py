@@ -81,12 +81,14 @@ class PressWriter:
         surface = self._sheet.surface_mm(x_mm, y_mm, start_s)
         self._true = (x_mm, y_mm, self._arrival(to, start_s)[2])
         self._stroke = _Stroke(start_s, duration_s, true_mm, self._true[2], surface)
-        before, after = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
-        if before != after:
-            ramp_s = min(round_to_ticks(abs(after - before) / speed_mm_s), duration_s)
-            begins = start_s if after < before else start_s + duration_s - ramp_s
-            self._write(StrainRamp(begins, ramp_s, (after - before) / self._sheet.thickness_mm(x_mm, y_mm)))
-        if after == 0:
+        start_depth_mm, end_depth_mm = max(true_mm - surface, 0.0), max(self._true[2] - surface, 0.0)
+        if start_depth_mm != end_depth_mm:
+            ramp_s = min(round_to_ticks(abs(end_depth_mm - start_depth_mm) / speed_mm_s), duration_s)
+            begin_s = start_s if end_depth_mm < start_depth_mm else start_s + duration_s - ramp_s
+            self._write(
+                StrainRamp(begin_s, ramp_s, (end_depth_mm - start_depth_mm) / self._sheet.thickness_mm(x_mm, y_mm))
+            )
+        if end_depth_mm == 0:
             self._pressing = None
 
     def halt(self, time_s: float) -> None:
@@ -106,11 +108,11 @@ class PressWriter:
 
     def _cut(self, time_s: float) -> SimulatedPress:
         """Replace the last press by a new object that ends now, so references to the old one stay distinct."""
-        old = self._sheet.presses[-1]
-        steps = [_cut_ramp(step, time_s) for step in old.steps if step.start_s < time_s]
-        new = SimulatedPress(old.index, old.x_mm, old.y_mm, steps)
-        self._sheet.presses[-1] = new
-        return new
+        old_press = self._sheet.presses[-1]
+        steps = [_cut_ramp(step, time_s) for step in old_press.steps if step.start_s < time_s]
+        new_press = SimulatedPress(old_press.index, old_press.x_mm, old_press.y_mm, steps)
+        self._sheet.presses[-1] = new_press
+        return new_press
 
     def _arrival(self, to: HeadPosition, time_s: float) -> HeadPosition:
         self._movements += 1

@@ -17,7 +17,7 @@ from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Relaxation
 FORGOTTEN: Final = 1e-9
 
 #: Strain over which the intercept of a quasi-static line fades in: one step of the surface search, 0.05 mm of 4 mm.
-#: Below it the fitted line is meaningless, and without load there is no response.
+#: At smaller strains the fitted line is meaningless, and without load there is no response.
 CONTACT_STRAIN: Final = 0.0125
 
 
@@ -34,13 +34,13 @@ def transient(ramp: StrainRamp, relaxation: Relaxation, time_s: float) -> float:
 
     Together with :func:`ramp_share` it is the hereditary integral of 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂) over the ramp.
     """
-    since = time_s - ramp.start_s
-    if since <= 0:
+    since_s = time_s - ramp.start_s
+    if since_s <= 0:
         return 0.0
-    past = since - min(since, ramp.ramp_s)  # since the ramp's end
+    past_s = since_s - min(since_s, ramp.ramp_s)  # since the ramp's end
     total = 0.0
     for weight, tau in zip(relaxation.weights, relaxation.time_constants_s, strict=True):
-        total += weight * math.exp(-past / tau) * _share((since - past) / tau)
+        total += weight * math.exp(-past_s / tau) * _share((since_s - past_s) / tau)
     return total * ramp_share(ramp, time_s)
 
 
@@ -95,32 +95,34 @@ class Transients:
         """Time after a press beyond which less than :data:`FORGOTTEN` of it remains, for any strain [s]."""
         largest = 1.0 if self._line is None else abs(self._line.slope.value) + abs(self._line.intercept.value)
         kernels = [kernel for kernel in self._kernels.values() if kernel is not None]
-        parts = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
-        lasts = [tau * math.log(max(abs(w) * largest * len(parts) / FORGOTTEN, 1.0)) for w, tau in parts]
-        return max(lasts, default=0.0)
+        terms = [part for kernel in kernels for part in zip(kernel.weights, kernel.time_constants_s, strict=True)]
+        durations_s = [tau * math.log(max(abs(w) * largest * len(terms) / FORGOTTEN, 1.0)) for w, tau in terms]
+        return max(durations_s, default=0.0)
 
     def change_at(self, press: SimulatedPress, time_s: float) -> float:
         if not press.steps or time_s <= press.steps[0].start_s:
             return 0.0
-        over = self._known.get(press.index)
-        if over is None or over.press is not press or over.steps != len(press.steps):
-            over = self._known[press.index] = self._sum_ramps(press)
-        since = time_s - over.end_s
-        if since >= 0:
-            return sum([begun * math.exp(-since / tau) for begun, tau in over.terms])
-        return sum([ramp.change * transient(ramp, kernel, time_s) for ramp, kernel in over.ramps])
+        ramp_sums = self._known.get(press.index)
+        if ramp_sums is None or ramp_sums.press is not press or ramp_sums.steps != len(press.steps):
+            ramp_sums = self._known[press.index] = self._sum_ramps(press)
+        since_s = time_s - ramp_sums.end_s
+        if since_s >= 0:
+            return sum([amplitude * math.exp(-since_s / tau_s) for amplitude, tau_s in ramp_sums.terms])
+        return sum([ramp.change * transient(ramp, kernel, time_s) for ramp, kernel in ramp_sums.ramps])
 
     def _sum_ramps(self, press: SimulatedPress) -> "_Over":
         ramps = response_ramps(press, self._line) if self._line else ((s.change > 0, s) for s in press.steps)
         answered = [(ramp, kernel) for loads, ramp in ramps if (kernel := self._kernels[loads])]
         end_s = max(step.start_s + step.ramp_s for step in press.steps)
-        begun: dict[float, float] = {}
+        amplitude_by_tau: dict[float, float] = {}
         for ramp, kernel in answered:
-            past = end_s - (ramp.start_s + ramp.ramp_s)
+            past_s = end_s - (ramp.start_s + ramp.ramp_s)
             for weight, tau in zip(kernel.weights, kernel.time_constants_s, strict=True):
-                left = weight * math.exp(-past / tau) * _share(ramp.ramp_s / tau)
-                begun[tau] = begun.get(tau, 0.0) + ramp.change * left
-        return _Over(press, len(press.steps), end_s, answered, [(start, tau) for tau, start in begun.items()])
+                remaining_share = weight * math.exp(-past_s / tau) * _share(ramp.ramp_s / tau)
+                amplitude_by_tau[tau] = amplitude_by_tau.get(tau, 0.0) + ramp.change * remaining_share
+        return _Over(
+            press, len(press.steps), end_s, answered, [(start, tau) for tau, start in amplitude_by_tau.items()]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -149,5 +151,5 @@ def _split(step: StrainRamp, strain: float) -> Iterator[StrainRamp]:
         yield step
         return
     yield StrainRamp(step.start_s, step.ramp_s * to_contact, step.change * to_contact)
-    rest = 1 - to_contact
-    yield StrainRamp(step.start_s + step.ramp_s * to_contact, step.ramp_s * rest, step.change * rest)
+    loaded_share = 1 - to_contact
+    yield StrainRamp(step.start_s + step.ramp_s * to_contact, step.ramp_s * loaded_share, step.change * loaded_share)

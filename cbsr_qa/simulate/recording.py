@@ -20,7 +20,7 @@ from cbsr_qa.simulate.head import SimulatedHead
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.system.clock import VirtualClock
 
-#: Addresses of a head's movements start at this multiple of its number less one.
+#: Number of addresses of a head's movements; those of head n start at n − 1 times this number.
 HEAD_BLOCK: Final = 1 << 24
 
 
@@ -30,9 +30,9 @@ class PressedLoad:
 
     Parameters
     ----------
-    index : in the scene's list, from 0.
-    record : as noted by a rig: commanded place and depth, and times.
-    press : as felt by the sheet; None if the head did not reach the true surface.
+    index : position in the scene's list, from 0.
+    record : what a rig would note: commanded place and depth, and times.
+    press : press that acts on the sheet; None if the head did not reach the true surface.
     """
 
     index: int
@@ -71,21 +71,21 @@ def _press_loads(
     world: SimulatedWorld, plan: ScenePlan, number: int, loads: tuple[SceneLoad, ...], end_s: float
 ) -> list[PressedLoad]:
     clock = VirtualClock()
-    first = (number - 1) * HEAD_BLOCK
-    head = SimulatedHead(clock, world, plan.motion, role=f"head {number}", first_index=first)
+    first_index = (number - 1) * HEAD_BLOCK
+    head = SimulatedHead(clock, world, plan.motion, role=f"head {number}", first_index=first_index)
     thickness_mm = world.setting.sensor_type.thickness_mm
     pressed = []
     for load in loads:
         times = press_times(load, load.strain * thickness_mm, plan.motion)
-        before = len(world.presses)
+        press_count = len(world.presses)
         head.travel(load.x_mm, load.y_mm)
         clock.sleep(times.leaves_s - clock.now())
         head.press(load.strain * thickness_mm, plan.motion.press_speed_mm_s)
         clock.sleep(times.lifts_s - clock.now())
         head.lift()
-        made = world.presses[before] if len(world.presses) > before else None
+        press = world.presses[press_count] if len(world.presses) > press_count else None
         index = next(index for index, other in enumerate(plan.loads) if other is load)
-        pressed.append(PressedLoad(index, load, _record(index, load, times, end_s), made))
+        pressed.append(PressedLoad(index, load, _record(index, load, times, end_s), press))
     return _end_rests(pressed)
 
 
@@ -127,8 +127,8 @@ def head_path(plan: ScenePlan, thickness_mm: float, time_s: Array) -> tuple[Samp
         corners += [(at_s, *load.place_mm, z_mm) for at_s, z_mm in stroke_points(times, depth_mm, plan.motion)]
     at_s, *axes = np.array(corners).T
     return tuple(
-        SampleBlock(name, "mm", time_s, np.interp(time_s, at_s, along))
-        for name, along in zip(("x", "y", "z"), axes, strict=True)
+        SampleBlock(name, "mm", time_s, np.interp(time_s, at_s, axis_mm))
+        for name, axis_mm in zip(("x", "y", "z"), axes, strict=True)
     )
 
 
@@ -218,14 +218,14 @@ def _frames(world: SimulatedWorld, transcript: Transcript, progress: Callable[[i
     for index, (time_s, pauses_s) in enumerate(zip(times_s.tolist(), row_pauses_s, strict=True)):
         frames.append(world.frame(time_s, index, pauses_s))
         progress(index + 1, len(times_s))
-    own = [frame.time_s for frame in frames if frame.time_s is not None]
+    reading_times_s = [frame.time_s for frame in frames if frame.time_s is not None]
     return FrameBlock(
         times_s,
         np.stack([frame.voltages for frame in frames]),
         np.stack([frame.flags for frame in frames]),
         VoltageUnit.VOLT,
         world.setting.current_A,
-        np.stack(own) if own else None,
+        np.stack(reading_times_s) if reading_times_s else None,
     )
 
 

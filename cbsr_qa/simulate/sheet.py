@@ -166,5 +166,5 @@ def _neighbour_resistance(model: ForwardModel) -> float:
     """Mean resistance between neighbouring electrodes [Ω]."""
     impedance = model.transfer_impedance
     following = np.roll(np.arange(len(impedance)), -1)
-    own = np.diag(impedance)
-    return float(np.mean(own + own[following] - 2 * impedance[np.arange(len(own)), following]))
+    diagonal = np.diag(impedance)
+    return float(np.mean(diagonal + diagonal[following] - 2 * impedance[np.arange(len(diagonal)), following]))

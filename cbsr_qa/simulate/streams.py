@@ -22,7 +22,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.system.clock import Clock
 
-#: Separates these keys from any other use of the same hash.
+#: Prefix that separates these keys from any other use of the same hash.
 _PURPOSE: Final = b"cbsr-qa stream"
 _INDICES: Final = 1 << 64
 
@@ -98,13 +98,13 @@ class StepAddresses:
 
     def samples(self, after_s: float, to_s: float) -> Iterator[tuple[float, int]]:
         """Yield (time, address) of every sample after a time and up to another, in order."""
-        for part in range(max(bisect_right(self._since_s, after_s) - 1, 0), bisect_left(self._since_s, to_s)):
-            since_s = self._since_s[part]
-            ends_s = self._since_s[part + 1] if part + 1 < len(self._since_s) else to_s
+        for segment in range(max(bisect_right(self._since_s, after_s) - 1, 0), bisect_left(self._since_s, to_s)):
+            since_s = self._since_s[segment]
+            ends_s = self._since_s[segment + 1] if segment + 1 < len(self._since_s) else to_s
             first = max(math.floor((after_s - since_s) * self._rate_hz), 0) + 1
             last = math.floor((min(ends_s, to_s) - since_s) * self._rate_hz)
             for count in range(first, last + 1):
-                yield since_s + count / self._rate_hz, self._first[part] + count
+                yield since_s + count / self._rate_hz, self._first[segment] + count
 
     def _begin(self, act: int) -> int:
         self._act, self._frames = act, 0

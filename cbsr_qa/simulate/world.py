@@ -172,14 +172,14 @@ class _Moving:
 
     def select_presses(self, presses: list[SimulatedPress], time_s: float) -> list[SimulatedPress]:
         """Return the presses that may act at a time."""
-        last = presses[-1] if presses else None
-        if len(presses) != self._count or last is not self._last:
+        last_press = presses[-1] if presses else None
+        if len(presses) != self._count or last_press is not self._last:
             # A press not yet lifted may continue; it is checked again when the next one comes.
-            lifted = [press.strain_at(press.end_s) <= _TOUCHING for press in presses]
+            is_lifted = [press.strain_at(press.end_s) <= _TOUCHING for press in presses]
             self._from_s = np.array([p.steps[0].start_s if p.steps else -np.inf for p in presses])
-            self._to_s = np.array([p.end_s if up else np.inf for p, up in zip(presses, lifted, strict=True)])
+            self._to_s = np.array([p.end_s if up else np.inf for p, up in zip(presses, is_lifted, strict=True)])
             self._to_s[-1:] = np.inf
-            self._count, self._last = len(presses), last
+            self._count, self._last = len(presses), last_press
             self._since_s, self._until_s = math.inf, -math.inf
         if not self._since_s < time_s < self._until_s:
             self._find(presses, time_s)
@@ -190,5 +190,5 @@ class _Moving:
         ends = np.concatenate([self._from_s, self._to_s])
         self._since_s = float(ends[ends <= time_s].max(initial=-np.inf))
         self._until_s = float(ends[ends >= time_s].min(initial=np.inf))
-        at = np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s))
-        self._found = [presses[k] for k in at.tolist()]
+        active = np.flatnonzero((self._from_s <= time_s) & (time_s <= self._to_s))
+        self._found = [presses[k] for k in active.tolist()]

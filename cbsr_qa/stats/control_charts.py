@@ -66,7 +66,7 @@ class Chart:
     centre : centre line.
     deviation : σ of single values that the limits follow from.
     reference : number of points in phase I; 0 for known values.
-    signals : in the order of points.
+    signals : signals in the order of points.
     """
 
     name: str
@@ -99,7 +99,7 @@ def individuals(
 
     Parameters
     ----------
-    values : (n,) in their order; σ is the reference's mean moving range over d₂.
+    values : (n,) values in their order; σ is the reference's mean moving range over d₂.
     rules : Nelson's tests to apply.
 
     Raises
@@ -136,20 +136,22 @@ def means_and_ranges(
     NumericsError
         Missing values, subgroups of different sizes or of one value, or a reference without range.
     """
-    what, sizes = "subgroups", sorted({len(group) for group in subgroups})
+    label, sizes = "subgroups", sorted({len(group) for group in subgroups})
     if len(sizes) != 1:
-        raise NumericsError(f"{what}: sizes {', '.join(map(str, sizes)) or 'none'}; a chart of ranges needs one size")
+        raise NumericsError(
+            f"{label}: sizes {', '.join(map(str, sizes)) or 'none'}; a chart of ranges needs one size"
+        )
     if sizes[0] < 2:
-        raise NumericsError(f"{what}: subgroups of one value have no range", remedy="use a chart of individuals")
-    table = np.array([sample(group, f"{what}, number {index}") for index, group in enumerate(subgroups)])
+        raise NumericsError(f"{label}: subgroups of one value have no range", remedy="use a chart of individuals")
+    table = np.array([sample(group, f"{label}, number {index}") for index, group in enumerate(subgroups)])
     d2, _ = d2_d3(sizes[0])
     means, ranges = table.mean(axis=1), np.ptp(table, axis=1)
     if isinstance(reference, Standard):
         standard, count = reference, 0
     else:
-        count = _reference_count(reference, len(table), 1, what)
+        count = _reference_count(reference, len(table), 1, label)
         standard = Standard(subtract_mean(means[:count])[0], float(ranges[:count].mean()) / d2)
-    _check_deviation(standard.deviation, what)
+    _check_deviation(standard.deviation, label)
     error = standard.deviation / sqrt(sizes[0])
     chart = _apply_rules("means", means, standard.mean, error, standard.deviation, count, rules)
     return chart, _ranges("ranges", ranges, sizes[0], standard.deviation, count)
@@ -170,12 +172,12 @@ def ewma(values: Iterable[float], *, weight: float = 0.2, width: float = 3.0, re
     array = sample(values, "EWMA")
     standard, count = _standard(array, reference, "EWMA")
     points, age = np.empty(len(array)), np.empty(len(array))
-    for part in _phases(len(array), count):
-        steps = accumulate(array[part], lambda z, x: (1 - weight) * z + weight * x, initial=standard.mean)
-        points[part] = list(steps)[1:]
-        age[part] = np.arange(1, len(array[part]) + 1)
-    half = width * standard.deviation * np.sqrt(weight / (2 - weight) * (1 - (1 - weight) ** (2 * age)))
-    return _apply_limits("EWMA", points, standard, standard.mean - half, standard.mean + half, count)
+    for phase in _phases(len(array), count):
+        steps = accumulate(array[phase], lambda z, x: (1 - weight) * z + weight * x, initial=standard.mean)
+        points[phase] = list(steps)[1:]
+        age[phase] = np.arange(1, len(array[phase]) + 1)
+    half_width = width * standard.deviation * np.sqrt(weight / (2 - weight) * (1 - (1 - weight) ** (2 * age)))
+    return _apply_limits("EWMA", points, standard, standard.mean - half_width, standard.mean + half_width, count)
 
 
 def cusum(
@@ -198,11 +200,13 @@ def cusum(
         raise NumericsError(f"{SUM}: slack {slack:g}, threshold {threshold:g}; allowed: slack ≥ 0, threshold > 0")
     array = sample(values, SUM)
     standard, count = _standard(array, reference, SUM)
-    above, below = (_sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1))
+    sums_above, sums_below = (
+        _sums(sign * (array - standard.mean), slack * standard.deviation, count) for sign in (1, -1)
+    )
     limit, zero = np.full(len(array), threshold * standard.deviation), np.zeros(len(array))
     centre = Standard(0.0, standard.deviation)
-    upper = _apply_limits(f"{SUM} above", above, centre, zero, limit, count)
-    return upper, _apply_limits(f"{SUM} below", -below, centre, -limit, zero, count)
+    upper = _apply_limits(f"{SUM} above", sums_above, centre, zero, limit, count)
+    return upper, _apply_limits(f"{SUM} below", -sums_below, centre, -limit, zero, count)
 
 
 def _sums(away: Array, slack: float, reference: int) -> Array:
@@ -244,11 +248,11 @@ def _check_deviation(deviation: float, what: str) -> None:
 def _apply_rules(
     name: str, points: Array, centre: float, error: float, deviation: float, count: int, rules: Collection[Rule]
 ) -> Chart:
-    found = nelson((points - centre) / error, rules)
-    pairs = [(int(index), rule) for rule, flags in found.items() for index in np.flatnonzero(flags)]
+    flags_by_rule = nelson((points - centre) / error, rules)
+    pairs = [(int(index), rule) for rule, flags in flags_by_rule.items() for index in np.flatnonzero(flags)]
     signals = tuple(Signal(rule.value, index, _phase(index, count)) for index, rule in sorted(pairs))
-    half = np.full(len(points), 3 * error)
-    return Chart(name, points, centre, centre - half, centre + half, deviation, count, signals)
+    half_width = np.full(len(points), 3 * error)
+    return Chart(name, points, centre, centre - half_width, centre + half_width, deviation, count, signals)
 
 
 def _ranges(name: str, ranges: Array, size: int, deviation: float, count: int) -> Chart:

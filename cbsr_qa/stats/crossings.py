@@ -82,9 +82,9 @@ class Crossing:
     def independent_columns(self) -> NDArray[np.bool_]:
         """Return which columns of groups and stations the model matrix has."""
         firsts = np.unique(self.station_parts, return_index=True)[1]
-        kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
-        kept[len(self.groups) + firsts] = False
-        return kept
+        is_kept = np.ones(len(self.groups) + len(self.stations), dtype=bool)
+        is_kept[len(self.groups) + firsts] = False
+        return is_kept
 
     def same_part(self, first: str, second: str) -> None:
         """Refuse to compare groups that no stations connect.
@@ -94,14 +94,14 @@ class Crossing:
         NumericsError
             Naming both parts; or a group that is not in the design.
         """
-        one, two = (int(self.group_parts[self.index("group", name)]) for name in (first, second))
-        if one != two:
+        part, other = (int(self.group_parts[self.index("group", name)]) for name in (first, second))
+        if part != other:
             parts = self.parts
             raise NumericsError(
-                f"{first} and {second} cannot be compared: {_list_names(parts[one].groups)} ran on "
-                f"{_list_names(parts[one].stations)} only and {_list_names(parts[two].groups)} on "
-                f"{_list_names(parts[two].stations)} only, so stations may cause the difference",
-                remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[one].stations[0]}",
+                f"{first} and {second} cannot be compared: {_list_names(parts[part].groups)} ran on "
+                f"{_list_names(parts[part].stations)} only and {_list_names(parts[other].groups)} on "
+                f"{_list_names(parts[other].stations)} only, so stations may cause the difference",
+                remedy=f"measure some sensors of both on one station, e.g. of {second} on {parts[part].stations[0]}",
             )
 
     def index(self, kind: str, name: str) -> int:
@@ -143,8 +143,8 @@ def _code_names(column: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
 
 
 def _drop_unused(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], IntArray]:
-    used, inverse = np.unique(codes, return_inverse=True)
-    return tuple(names[index] for index in used), inverse.astype(np.intp)
+    used_codes, inverse = np.unique(codes, return_inverse=True)
+    return tuple(names[index] for index in used_codes), inverse.astype(np.intp)
 
 
 def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:
@@ -162,5 +162,5 @@ def _names_in_part(names: tuple[str, ...], parts: IntArray, part: int) -> tuple[
 
 
 def _list_names(names: Sequence[str]) -> str:
-    shown = ", ".join(names[:5])
-    return f"{shown} and {len(names) - 5} more" if len(names) > 5 else shown
+    first_names = ", ".join(names[:5])
+    return f"{first_names} and {len(names) - 5} more" if len(names) > 5 else first_names

@@ -31,7 +31,7 @@ class Equivalence:
     ----------
     margin : m, in the difference's unit.
     p_value : the larger of both tests'.
-    interval : of 1 − 2α.
+    interval : interval with confidence 1 − 2α.
     equivalent : whether p ≤ α.
     """
 
@@ -47,7 +47,7 @@ class Contrast(Judged):
 
     Parameters
     ----------
-    value, standard_error : in the same unit; the error is above 0.
+    value, standard_error : estimate and its standard error, in the same unit; the error is above 0.
     freedom : degrees of freedom, above 0, need not be whole.
     """
 
@@ -105,19 +105,19 @@ def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str
     Parameters
     ----------
     first, second : values of independent sensors, at least two each, in one unit.
-    names : of the groups, for messages.
+    names : names of the groups, for messages.
 
     Raises
     ------
     NumericsError
         A group of one, missing values, or no variance in either group.
     """
-    one, two = _both(first, second, names)
-    parts = [(_deviation(group) ** 2 / group.count, group.count - 1) for group in (one, two)]
-    variance = sum(part for part, _ in parts)
+    first_summary, second_summary = _both(first, second, names)
+    variances = [(_deviation(group) ** 2 / group.count, group.count - 1) for group in (first_summary, second_summary)]
+    variance = sum(group_variance for group_variance, _ in variances)
     # Relative to the whole, so that squares of tiny variances do not vanish.
-    freedom = 1 / sum((part / variance) ** 2 / free for part, free in parts)
-    return make_contrast(one.mean - two.mean, sqrt(variance), freedom, _title(names))
+    freedom = 1 / sum((group_variance / variance) ** 2 / free for group_variance, free in variances)
+    return make_contrast(first_summary.mean - second_summary.mean, sqrt(variance), freedom, _title(names))
 
 
 def hedges(
@@ -137,12 +137,12 @@ def hedges(
     NumericsError
         A group of one, missing values, or no variance in either group.
     """
-    one, two = _both(first, second, names)
+    first_summary, second_summary = _both(first, second, names)
     share(confidence, "confidence")
-    freedom, tail = one.count + two.count - 2, (1 - confidence) / 2
-    root = sqrt(one.count * two.count / (one.count + two.count))
-    size = (one.mean - two.mean) / pool_deviations(one, two)
-    low, high = (noncentrality(size * root, freedom, below) / root for below in (1 - tail, tail))
+    freedom, tail = first_summary.count + second_summary.count - 2, (1 - confidence) / 2
+    root = sqrt(first_summary.count * second_summary.count / (first_summary.count + second_summary.count))
+    size = (first_summary.mean - second_summary.mean) / pool_deviations(first_summary, second_summary)
+    low, high = (noncentrality(size * root, freedom, probability) / root for probability in (1 - tail, tail))
     return EffectSize(unbiasing(freedom) * size, Interval(low, high, confidence))
 
 
@@ -159,14 +159,14 @@ def pool_deviations(first: Summary, two: Summary) -> float:
 
 def _both(first: Iterable[float], second: Iterable[float], names: tuple[str, str]) -> tuple[Summary, Summary]:
     arrays = [sample(values, name, least=2) for values, name in zip((first, second), names, strict=True)]
-    one, two = (summary(array, name) for array, name in zip(arrays, names, strict=True))
-    largest = max(abs(one.mean), abs(two.mean))
-    if max(_deviation(one), _deviation(two)) <= LEAST_SPREAD * largest:
+    first_summary, second_summary = (summary(array, name) for array, name in zip(arrays, names, strict=True))
+    largest = max(abs(first_summary.mean), abs(second_summary.mean))
+    if max(_deviation(first_summary), _deviation(second_summary)) <= LEAST_SPREAD * largest:
         raise NumericsError(
             f"{_title(names)}: values do not differ within either group: there is no variance to judge "
-            f"{one.mean - two.mean:.6g} against"
+            f"{first_summary.mean - second_summary.mean:.6g} against"
         )
-    return one, two
+    return first_summary, second_summary
 
 
 def _deviation(group: Summary) -> float:

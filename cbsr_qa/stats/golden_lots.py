@@ -17,7 +17,7 @@ from cbsr_qa.stats.intervals import count_needed, spacings_outside
 from cbsr_qa.stats.variance_components import Components, components, telling_runs
 from cbsr_qa.stats.worst_value import worst_of
 
-#: Values with a larger modified z-score are named as outliers (Iglewicz & Hoaglin 1993).
+#: Modified z-score above which values are named as outliers (Iglewicz & Hoaglin 1993).
 FAR_OUT = 3.5
 _NORMAL_MAD = 0.6745  #: median absolute deviation of a standard normal number
 _MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
@@ -37,9 +37,9 @@ class Fit:
 
     Parameters
     ----------
-    p_value : of the Shapiro–Wilk test.
-    refuted : whether it is below the requested level.
-    distribution : of single values.
+    p_value : p value of the Shapiro–Wilk test.
+    refuted : whether the p value is below the requested level.
+    distribution : distribution of single values.
     """
 
     p_value: float
@@ -69,10 +69,10 @@ def far_out(values: Sequence[float]) -> tuple[int, ...]:
     return tuple(int(index) for index in np.flatnonzero(_NORMAL_MAD * away / spread > FAR_OUT))
 
 
-#: With fewer sensors no distribution is tested.
+#: Number of sensors below which no distribution is tested.
 FEWEST_SENSORS = 3
-#: A normal or log-normal distribution is rejected below this p-value: at 0.05 one of a recipe's dozen limits would be
-#: refused for every second lot that is normal.
+#: p-value below which a normal or log-normal distribution is rejected: at 0.05 one of a recipe's dozen limits would
+#: be refused for every second lot that is normal.
 LEVEL = 0.01
 _LARGEST = 1e150
 _LEAST_SPREAD = 1e-12  #: of the mean; less is rounding
@@ -91,7 +91,7 @@ class Ask:
     ----------
     coverage, confidence : shares between 0 and 1.
     lower, upper : whether each bound is required; at least one is.
-    distribution : used unless the lot rejects it; None for the widest bound of those it does not reject.
+    distribution : distribution to use unless the lot rejects it; None for the widest bound of those not rejected.
     """
 
     coverage: float
@@ -136,15 +136,15 @@ class Bound:
     Parameters
     ----------
     limit : rounded outwards to a hundredth of its distance from the mean.
-    distribution : of single values.
+    distribution : distribution of single values.
     independent_values : the sensors' worst values are modelled as the largest of this many independent ones: all of a
         run, or 1 if that is rejected and worst values are themselves normal, as when values of a sensor are
         correlated.
-    tests : of the distributions tried, in order.
-    scale : of ``parts``.
-    parts : of the sensors' worst values on that scale.
+    tests : tests of the distributions tried, in order.
+    scale : scale of ``parts``.
+    parts : variance components of the sensors' worst values on that scale.
     factor : k of mean + k deviation on that scale; None for order statistics.
-    worst_mean, worst_deviation : of the sensors' worst values in their own unit, deviation of a single run.
+    worst_mean, worst_deviation : mean and single-run deviation of the sensors' worst values, in their unit.
     """
 
     limit: float
@@ -185,8 +185,8 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
 
     Parameters
     ----------
-    smallest, largest : of each run of each sensor: the smallest and the largest of its values.
-    values : how many a run has; 1 if both are the same.
+    smallest, largest : smallest and largest value of each run of each sensor.
+    values : number of values of a run; 1 if both are the same.
     """
     smallest, largest, count = telling_runs(smallest), telling_runs(largest), len(largest)
     if count < FEWEST_SENSORS:
@@ -196,17 +196,17 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
             return LotLimits(why=why)
     # Distributions to try: a quantity that can be negative is not log-normal.
     positive = min(min(sensor) for sensor in smallest) > 0
-    both = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
-    looked_at = tuple(one for one in both if ask.distribution in (None, one))
-    lower = _find_bound(smallest, looked_at, values, ask, -1) if ask.lower else None
-    upper = _find_bound(largest, looked_at, values, ask, +1) if ask.upper else None
-    out = _all_far_out(smallest, largest, (lower, upper))
-    refused = next((side for side in (lower, upper) if isinstance(side, str)), "")
-    if refused:
-        return LotLimits(why=refused, far_out=out)
+    possible = (Distribution.NORMAL, Distribution.LOG_NORMAL) if positive else (Distribution.NORMAL,)
+    distributions = tuple(distribution for distribution in possible if ask.distribution in (None, distribution))
+    lower = _find_bound(smallest, distributions, values, ask, -1) if ask.lower else None
+    upper = _find_bound(largest, distributions, values, ask, +1) if ask.upper else None
+    far_sensors = _all_far_out(smallest, largest, (lower, upper))
+    refusal = next((side for side in (lower, upper) if isinstance(side, str)), "")
+    if refusal:
+        return LotLimits(why=refusal, far_out=far_sensors)
     assert not isinstance(lower, str)
     assert not isinstance(upper, str)
-    return LotLimits(lower, upper, far_out=out)
+    return LotLimits(lower, upper, far_out=far_sensors)
 
 
 def _nothing_to_go_by(runs: Runs) -> str:
@@ -216,9 +216,9 @@ def _nothing_to_go_by(runs: Runs) -> str:
         return f"values beyond {_LARGEST:g} are too large to be squared"
     if 0 < largest < 1 / _LARGEST:
         return f"values below {1 / _LARGEST:g} are too small to be squared"
-    parts = components(runs)
-    if parts.between**0.5 <= _LEAST_SPREAD * abs(parts.mean):
-        return f"every sensor has {parts.mean:.6g}: limits cannot be derived without spread"
+    variances = components(runs)
+    if variances.between**0.5 <= _LEAST_SPREAD * abs(variances.mean):
+        return f"every sensor has {variances.mean:.6g}: limits cannot be derived without spread"
     return ""
 
 
@@ -228,22 +228,22 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
     fits: list[Fit] = []
     for distribution in looked_at:
         scale = Scale(sign, distribution is Distribution.LOG_NORMAL)
-        laid_out = [[scale.forward(x) for x in sensor] for sensor in runs]
-        means = np.array([np.mean(sensor) for sensor in laid_out])
+        scaled_runs = [[scale.forward(x) for x in sensor] for sensor in runs]
+        means = np.array([np.mean(sensor) for sensor in scaled_runs])
         for independent in dict.fromkeys((values, 1)):
             fit = replace(fits_worst_of(means, independent, LEVEL), distribution=distribution)
             fits.append(fit)
             if not fit.refuted:
-                parts = components(laid_out)
-                factor = _factor(parts, independent, values, ask)
-                limit = scale.inverse(parts.mean + factor * parts.deviation)
-                candidates.append(Bound(limit, distribution, independent, (), scale, parts, factor))
+                variance_components = components(scaled_runs)
+                factor = _factor(variance_components, independent, values, ask)
+                limit = scale.inverse(variance_components.mean + factor * variance_components.deviation)
+                candidates.append(Bound(limit, distribution, independent, (), scale, variance_components, factor))
                 break
     if not candidates:
         return _order_statistic_bound(runs, ask, sign, fits)
     *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
-    others = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
-    return _round_bound(replace(widest, tests=tuple(fits), narrower=others), runs)
+    narrower_bounds = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
+    return _round_bound(replace(widest, tests=tuple(fits), narrower=narrower_bounds), runs)
 
 
 def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float:
@@ -257,13 +257,13 @@ def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float
 def _order_statistic_bound(runs: Runs, ask: Ask, sign: int, fits: list[Fit]) -> Bound | str:
     """Return the order statistic that bounds the share for any distribution; the worst run of a sensor counts."""
     worst = sorted(max(sign * x for x in sensor) for sensor in runs)
-    outside = spacings_outside(len(worst), ask.coverage, ask.confidence)
-    if outside < ask.sides:
-        needed = count_needed(ask.coverage, ask.confidence, ask.sides)
-        return f"{_why_ordered(fits)}distribution-free limits need {needed} sensors; there are {len(worst)}"
-    scale, limit = Scale(sign, False), sign * worst[-(outside // ask.sides)]
-    parts = components([[sign * x for x in sensor] for sensor in runs])
-    return _round_bound(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, parts, None), runs)
+    spacings = spacings_outside(len(worst), ask.coverage, ask.confidence)
+    if spacings < ask.sides:
+        sensor_count = count_needed(ask.coverage, ask.confidence, ask.sides)
+        return f"{_why_ordered(fits)}distribution-free limits need {sensor_count} sensors; there are {len(worst)}"
+    scale, limit = Scale(sign, False), sign * worst[-(spacings // ask.sides)]
+    variances = components([[sign * x for x in sensor] for sensor in runs])
+    return _round_bound(Bound(limit, Distribution.ANY, 1, tuple(fits), scale, variances, None), runs)
 
 
 def _why_ordered(fits: list[Fit]) -> str:
@@ -289,16 +289,16 @@ def outward(limit: float, mean: float, sign: int) -> float:
     decimals = min(2 - floor(log10(distance)), _MOST_DECIMALS)
     step = 10.0**decimals
     steps = limit * step
-    whole = ceil(steps - 1e-9) if sign > 0 else floor(steps + 1e-9)
-    return round(whole / step, max(decimals, 0))
+    whole_steps = ceil(steps - 1e-9) if sign > 0 else floor(steps + 1e-9)
+    return round(whole_steps / step, max(decimals, 0))
 
 
 def _all_far_out(smallest: Runs, largest: Runs, bounds: Sequence[Bound | str | None]) -> tuple[int, ...]:
-    found: set[int] = set()
+    sensors: set[int] = set()
     for runs, bound in zip((smallest, largest), bounds, strict=True):
         if bound is None:
             continue
         means = [float(np.mean(sensor)) for sensor in runs]
-        log_taken = isinstance(bound, Bound) and bound.scale.logarithmic
-        found |= set(far_out([log(x) for x in means] if log_taken else means))
-    return tuple(sorted(found))
+        is_log_normal = isinstance(bound, Bound) and bound.scale.logarithmic
+        sensors |= set(far_out([log(x) for x in means] if is_log_normal else means))
+    return tuple(sorted(sensors))

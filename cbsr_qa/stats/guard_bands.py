@@ -56,8 +56,8 @@ def risks_of_bound(density: Density, limit: float, guard: float, uncertainty: fl
 
 
 def _panel(low: float, high: float) -> tuple[Array, Array]:
-    half = 0.5 * (high - low)
-    return low + half * (_NODES + 1), half * _WEIGHTS
+    half_width = 0.5 * (high - low)
+    return low + half_width * (_NODES + 1), half_width * _WEIGHTS
 
 
 #: An expanded uncertainty has the coverage of ± 2 standard deviations of a normal distribution.
@@ -74,7 +74,7 @@ class Uncertainty:
     ----------
     standard : u, one standard deviation in the measurement's unit; above 0.
     freedom : degrees of freedom; None if it was stated rather than found from repeats.
-    source : in words.
+    source : source of the uncertainty, in words.
     """
 
     standard: float
@@ -100,12 +100,12 @@ def repeatability(runs: Runs, source: str) -> Uncertainty | None:
     Parameters
     ----------
     runs : one sequence of values per sensor.
-    source : in words.
+    source : source of the uncertainty, in words.
     """
-    parts = components(runs)
-    if parts.repeats < FEWEST_REPEATS or not parts.within:
+    variances = components(runs)
+    if variances.repeats < FEWEST_REPEATS or not variances.within:
         return None
-    return Uncertainty(sqrt(parts.within), parts.repeats, source)
+    return Uncertainty(sqrt(variances.within), variances.repeats, source)
 
 
 def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
@@ -117,19 +117,23 @@ def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     """
     if bound.distribution is Distribution.ANY:
         return None
-    parts, scale = bound.parts, bound.scale
+    variances, scale = bound.parts, bound.scale
     u = uncertainty.standard
     if uncertainty.freedom is not None:
-        u = sqrt(parts.within or 0.0)
+        u = sqrt(variances.within or 0.0)
     elif scale.logarithmic:
-        u /= exp(scale.sign * parts.mean)
-    remaining = parts.deviation**2 - u**2
-    inside = bound.limit - scale.sign * guard
-    if not u or remaining < (_LEAST_SPREAD * u) ** 2 or (scale.logarithmic and min(inside, bound.limit) <= 0):
+        u /= exp(scale.sign * variances.mean)
+    true_variance = variances.deviation**2 - u**2
+    guarded_limit = bound.limit - scale.sign * guard
+    if (
+        not u
+        or true_variance < (_LEAST_SPREAD * u) ** 2
+        or (scale.logarithmic and min(guarded_limit, bound.limit) <= 0)
+    ):
         return None
-    true, shape, limit = sqrt(remaining), worst_of(bound.independent_values), scale.forward(bound.limit)
+    true_deviation, shape, limit = sqrt(true_variance), worst_of(bound.independent_values), scale.forward(bound.limit)
 
     def density(y: Array) -> Array:
-        return shape.density((y - parts.mean) / true) / true
+        return shape.density((y - variances.mean) / true_deviation) / true_deviation
 
-    return risks_of_bound(density, limit, limit - scale.forward(inside), u)
+    return risks_of_bound(density, limit, limit - scale.forward(guarded_limit), u)

@@ -25,8 +25,8 @@ from scipy.optimize import brentq
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.samples import Estimate, Interval, largest_rank, sample, share, smallest
 
-#: Beyond it the normal part of a noncentral t is negligible beside its χ part (1e-8), and its series no longer
-#: converges.
+#: Value above which the normal part of a noncentral t is negligible beside its χ part (1e-8), and its series no
+#: longer converges.
 _LARGE = 1e4
 _TAIL: Final = 1e-16  #: share of χ² beyond each end of the integral
 _NODES: Final = 400
@@ -63,10 +63,10 @@ def integrate_noncentral_t(t: float, freedom: float, delta: float) -> float:
     """
     ends = np.sqrt(np.array([stats.chi2.ppf(_TAIL, freedom), stats.chi2.isf(_TAIL, freedom)]) / freedom)
     nodes, weights = _legendre()
-    half = 0.5 * (ends[1] - ends[0])
-    s = ends[0] + half * (1 + nodes)
+    half_width = 0.5 * (ends[1] - ends[0])
+    s = ends[0] + half_width * (1 + nodes)
     density = 2 * freedom * s * stats.chi2.pdf(freedom * s**2, freedom)
-    return float(np.sum(half * weights * density * special.ndtr(t * s - delta)))
+    return float(np.sum(half_width * weights * density * special.ndtr(t * s - delta)))
 
 
 @lru_cache(maxsize=1)
@@ -119,8 +119,8 @@ def _content_probability(k: float, coverage: float, mean_size: float, freedom: f
     """Probability that mean ± k s holds the share: E over the mean's error z/√n of P(χ²_f ≥ f r(z)² / k²)."""
     z = 0.5 * _FAR * (_NODES_TOLERANCE + 1)
     radius2 = stats.ncx2.ppf(coverage, 1, z**2 / mean_size)
-    held = stats.chi2.sf(freedom * radius2 / k**2, freedom)
-    return float(_FAR * np.sum(_WEIGHTS * stats.norm.pdf(z) * held))
+    chance = stats.chi2.sf(freedom * radius2 / k**2, freedom)
+    return float(_FAR * np.sum(_WEIGHTS * stats.norm.pdf(z) * chance))
 
 
 def spacings_outside(count: int, coverage: float, confidence: float) -> int:
@@ -142,7 +142,7 @@ def count_needed(coverage: float, confidence: float, sides: int) -> int:
     return fewer if enough(fewer) else smallest(enough, fewer, _MOST_NEEDED, beyond)
 
 
-#: No interval with fewer: two values alone would have to determine the spread.
+#: Smallest number of values for an interval: two values alone would have to determine the spread.
 FEWEST_VALUES = 3
 
 
@@ -152,7 +152,7 @@ class Prediction:
 
     Parameters
     ----------
-    count, mean, deviation : of the values so far; the deviation is of one value, with n − 1.
+    count, mean, deviation : number, mean and deviation (with n − 1) of the values so far.
     low, high : the interval.
     """
 
@@ -172,15 +172,15 @@ def predict(values: Sequence[float], *, confidence: float) -> Prediction:
 
     NumericsError if there are fewer than three, one is not finite, or the confidence is not between 0 and 1.
     """
-    given = sample(values, "values to predict the next from", least=FEWEST_VALUES)
+    array = sample(values, "values to predict the next from", least=FEWEST_VALUES)
     share(confidence, "confidence")
-    count, mean = len(given), float(given.mean())
-    deviation = float(given.std(ddof=1))
-    reach = float(stats.t.ppf((1 + confidence) / 2, count - 1)) * deviation * float(np.sqrt(1 + 1 / count))
-    return Prediction(count, mean, deviation, mean - reach, mean + reach)
+    count, mean = len(array), float(array.mean())
+    deviation = float(array.std(ddof=1))
+    half_width = float(stats.t.ppf((1 + confidence) / 2, count - 1)) * deviation * float(np.sqrt(1 + 1 / count))
+    return Prediction(count, mean, deviation, mean - half_width, mean + half_width)
 
 
-#: Smaller tails are zero: their quantiles are not finite.
+#: Smallest tail with a finite quantile; smaller tails are zero.
 _LEAST_TAIL = 1e-300
 
 
@@ -213,13 +213,13 @@ class Judged(ABC):
             The confidence is not between 0 and 1.
         """
         share(confidence, "confidence")
-        half = self._half((1 - confidence) / 2)
-        return Interval(self.value - half, self.value + half, confidence)
+        half_width = self._half((1 - confidence) / 2)
+        return Interval(self.value - half_width, self.value + half_width, confidence)
 
     def estimate(self, confidence: float = 0.95) -> Estimate:
         """Return the fields for documents."""
-        inside = self.interval(confidence)
-        return Estimate(self.value, self.standard_error, inside.low, inside.high, self.p_value())
+        interval = self.interval(confidence)
+        return Estimate(self.value, self.standard_error, interval.low, interval.high, self.p_value())
 
 
 @dataclass(frozen=True, slots=True)
@@ -228,7 +228,7 @@ class Referenced(Judged):
 
     Parameters
     ----------
-    value : in the unit of all that follows.
+    value : estimate; the other attributes are in its unit.
     scatter : standard error of the readings, above 0.
     freedom : its degrees of freedom, above 0.
     known : contribution of the references' standard uncertainties, at least 0; 0 gives Student's t interval.

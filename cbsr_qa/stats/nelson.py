@@ -34,14 +34,14 @@ def d2_d3(count: int) -> tuple[float, float]:
     if not 2 <= count <= MOST:
         raise NumericsError(f"range: {count} values; allowed are 2 to {MOST}")
     y, weights = _FAR * _NODES, _FAR * _WEIGHTS
-    below, above = special.ndtr(y), special.ndtr(-y)
-    mean = float(np.sum(weights * (1 - below**count - above**count)))
+    chance_below, chance_above = special.ndtr(y), special.ndtr(-y)
+    mean = float(np.sum(weights * (1 - chance_below**count - chance_above**count)))
     # For each y the inner variable runs from −9 to y.
     x = -_FAR + (y[:, None] + _FAR) * (_NODES + 1) / 2
     inner = (y[:, None] + _FAR) / 2 * _WEIGHTS
-    between = special.ndtr(y)[:, None] - special.ndtr(x)
-    dense = 1 - (below**count)[:, None] - special.ndtr(-x) ** count + between**count
-    square = 2 * float(np.sum(weights[:, None] * inner * dense))
+    chance_between = special.ndtr(y)[:, None] - special.ndtr(x)
+    integrand = 1 - (chance_below**count)[:, None] - special.ndtr(-x) ** count + chance_between**count
+    square = 2 * float(np.sum(weights[:, None] * inner * integrand))
     return mean, sqrt(square - mean**2)
 
 
@@ -84,8 +84,8 @@ def _last(flags: Flags, window: int) -> NDArray[np.intp]:
 
 def _lasting(flags: Flags, window: int) -> Flags:
     """Return where all of the last ``window`` flags are set."""
-    whole: Flags = _last(flags, window) == window
-    return whole
+    is_lasting: Flags = _last(flags, window) == window
+    return is_lasting
 
 
 def _steps(z: Array) -> Array:

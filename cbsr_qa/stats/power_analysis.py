@@ -55,10 +55,10 @@ def power_of_equivalence(margin: float, first: int, second: int, *, level: float
     high = min(high, shift / critical)
     if high <= low:
         return 0.0
-    at = low + (high - low) * (1 + _NODES) / 2
-    density = 2 * freedom * at * stats.chi2.pdf(freedom * at**2, freedom)
-    shown = 2 * special.ndtr(shift - critical * at) - 1
-    return float(np.clip((high - low) / 2 * np.sum(_WEIGHTS * density * shown), 0.0, 1.0))
+    s = low + (high - low) * (1 + _NODES) / 2
+    density = 2 * freedom * s * stats.chi2.pdf(freedom * s**2, freedom)
+    chance_shown = 2 * special.ndtr(shift - critical * s) - 1
+    return float(np.clip((high - low) / 2 * np.sum(_WEIGHTS * density * chance_shown), 0.0, 1.0))
 
 
 def sensors_needed(size: float, *, wanted: float = 0.8, level: float = 0.05) -> int:

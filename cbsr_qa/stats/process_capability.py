@@ -45,7 +45,7 @@ class Capability:
     Parameters
     ----------
     count : N.
-    mean : of all values.
+    mean : mean of all values.
     within, overall : σ̂ and s, in the values' unit.
     cp, pp : None where there is one limit.
     """
@@ -93,19 +93,19 @@ def capability(
     _check_limits(lower, upper, what)
     share(confidence, "confidence")
     arrays = [sample(values, f"{what}, subgroup {index + 1}") for index, values in enumerate(groups)]
-    every = sample(np.concatenate(arrays) if arrays else (), what, least=2, spread=True)
-    within, overall = _within(arrays, what), _within([every], what)
-    mean, _ = subtract_mean(every)
+    pooled = sample(np.concatenate(arrays) if arrays else (), what, least=2, spread=True)
+    within_spread, overall_spread = _within(arrays, what), _within([pooled], what)
+    mean, _ = subtract_mean(pooled)
     limits = mean, lower, upper, confidence
     return Capability(
-        count=len(every),
+        count=len(pooled),
         mean=mean,
-        within=within.deviation,
-        overall=overall.deviation,
-        cp=_both(within, *limits[1:]),
-        cpk=_nearest(within, *limits),
-        pp=_both(overall, *limits[1:]),
-        ppk=_nearest(overall, *limits),
+        within=within_spread.deviation,
+        overall=overall_spread.deviation,
+        cp=_both(within_spread, *limits[1:]),
+        cpk=_nearest(within_spread, *limits),
+        pp=_both(overall_spread, *limits[1:]),
+        ppk=_nearest(overall_spread, *limits),
     )
 
 
@@ -135,18 +135,28 @@ def capability_of_extremes(
     _check_limits(lower, upper, what)
     share(confidence, "confidence")
     sides: list[tuple[float, _Spread, _Spread]] = []
-    for groups, which in ((least, "least"), (greatest, "greatest")):
-        arrays = [sample(values, f"{what}, {which} of subgroup {index + 1}") for index, values in enumerate(groups)]
-        every = sample(np.concatenate(arrays) if arrays else (), f"{what}, {which}", least=2, spread=True)
-        sides.append((subtract_mean(every)[0], _within(arrays, what), _within([every], what)))
+    for groups, extreme in ((least, "least"), (greatest, "greatest")):
+        arrays = [sample(values, f"{what}, {extreme} of subgroup {index + 1}") for index, values in enumerate(groups)]
+        pooled = sample(np.concatenate(arrays) if arrays else (), f"{what}, {extreme}", least=2, spread=True)
+        sides.append((subtract_mean(pooled)[0], _within(arrays, what), _within([pooled], what)))
     (low_mean, *low), (high_mean, *high) = sides
-    apart = np.concatenate([np.asarray(list(group), float) for group in greatest])
-    apart = apart - np.concatenate([np.asarray(list(group), float) for group in least])
+    value_ranges = np.concatenate([np.asarray(list(group), float) for group in greatest])
+    value_ranges = value_ranges - np.concatenate([np.asarray(list(group), float) for group in least])
     pairs = list(zip(low, high, strict=True))
-    cp, pp = (_room_of_both(one, two, apart, upper - lower, confidence) for one, two in pairs)
-    cpk, ppk = (_nearer(one, two, low_mean - lower, upper - high_mean, confidence) for one, two in pairs)
-    within, overall = ((one.deviation + two.deviation) / 2 for one, two in pairs)
-    return Capability(len(apart), (low_mean + high_mean) / 2, within, overall, cp, cpk, pp, ppk)
+    cp, pp = (
+        _room_of_both(low_spread, high_spread, value_ranges, upper - lower, confidence)
+        for low_spread, high_spread in pairs
+    )
+    cpk, ppk = (
+        _nearer(low_spread, high_spread, low_mean - lower, upper - high_mean, confidence)
+        for low_spread, high_spread in pairs
+    )
+    within_deviation, overall_deviation = (
+        (low_spread.deviation + high_spread.deviation) / 2 for low_spread, high_spread in pairs
+    )
+    return Capability(
+        len(value_ranges), (low_mean + high_mean) / 2, within_deviation, overall_deviation, cp, cpk, pp, ppk
+    )
 
 
 def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
@@ -184,15 +194,15 @@ def _nearest(spread: _Spread, mean: float, lower: float | None, upper: float | N
         low, high = _exact(value, spread, confidence)
         return Index(value, low, high, "noncentral t, exact for normal values")
     z = float(stats.norm.isf((1 - confidence) / 2))
-    half = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
-    return Index(value, value - half, value + half, "Bissell 1990, for normal values")
+    half_width = z * sqrt(1 / (9 * spread.count) + value**2 / (2 * spread.freedom))
+    return Index(value, value - half_width, value + half_width, "Bissell 1990, for normal values")
 
 
 def _nearer(low: _Spread, high: _Spread, below: float, above: float, confidence: float) -> Index:
     """Return the lesser of both sides' indices; its interval ends are the lesser of the joint intervals' ends."""
-    each = 1 - (1 - confidence) / 2
+    side_confidence = 1 - (1 - confidence) / 2
     values = [below / (3 * low.deviation), above / (3 * high.deviation)]
-    ends = [_exact(value, spread, each) for value, spread in zip(values, (low, high), strict=True)]
+    ends = [_exact(value, spread, side_confidence) for value, spread in zip(values, (low, high), strict=True)]
     low_end, high_end = (min(side) for side in zip(*ends, strict=True))
     return Index(min(values), low_end, high_end, "noncentral t of both sides, Bonferroni, for normal values")
 
@@ -201,13 +211,15 @@ def _room_of_both(low: _Spread, high: _Spread, apart: Array, width: float, confi
     """Return Cp of both sides, with an interval from those of both deviations and of ḡ − l̄."""
     tail = (1 - confidence) / 6
     error = float(apart.std(ddof=1)) / sqrt(len(apart))
-    half = float(stats.t.isf(tail, len(apart) - 1)) * error
+    half_width = float(stats.t.isf(tail, len(apart) - 1)) * error
     room = width - float(apart.mean())
-    wide, narrow = (
+    wide_sigma, narrow_sigma = (
         sum(3 * side.deviation * sqrt(side.freedom / float(stats.chi2.ppf(p, side.freedom))) for side in (low, high))
         for p in (tail, 1 - tail)
     )
-    ratios = [end / across for end in (room - half, room + half) for across in (wide, narrow)]
+    ratios = [
+        end / six_sigma for end in (room - half_width, room + half_width) for six_sigma in (wide_sigma, narrow_sigma)
+    ]
     value = room / (3 * (low.deviation + high.deviation))
     return Index(value, min(ratios), max(ratios), "χ² of both sides and t, Bonferroni")
 

@@ -56,33 +56,33 @@ def _order_statistics(values: Array, ranks: Sequence[int]) -> list[float]:
 def _select_by_counting(x: Array, y: Array, rank: int) -> float:
     """Narrow down a rank: ``below`` differences are up to ``low``, and ``upto`` ≥ rank up to ``high``."""
     low, high = np.nextafter(x[0] - y[-1], -np.inf), x[-1] - y[0]
-    first, last = np.zeros(len(y), dtype=np.intp), np.full(len(y), len(x), dtype=np.intp)
+    low_counts, high_counts = np.zeros(len(y), dtype=np.intp), np.full(len(y), len(x), dtype=np.intp)
     bisect = False
-    while (between := int((last - first).sum())) > _FEW_MADE:
-        below = int(first.sum())
-        share = 0.5 if bisect else min(max((rank - below) / between, 0.01), 0.99)
+    while (count_between := int((high_counts - low_counts).sum())) > _FEW_MADE:
+        count_below = int(low_counts.sum())
+        share = 0.5 if bisect else min(max((rank - count_below) / count_between, 0.01), 0.99)
         middle = low + share * (high - low)
         if not low < middle < high:
             return float(high)
         counts = np.searchsorted(x, y + middle, side="right")
         bisect = not bisect
         if int(counts.sum()) >= rank:
-            high, last = middle, counts
+            high, high_counts = middle, counts
         else:
-            low, first = middle, counts
-    return _order_statistics(_differences_between(x, y, first, last), [rank - int(first.sum())])[0]
+            low, low_counts = middle, counts
+    return _order_statistics(_differences_between(x, y, low_counts, high_counts), [rank - int(low_counts.sum())])[0]
 
 
 def _differences_between(x: Array, y: Array, first: IntArray, last: IntArray) -> Array:
     """Differences of each y and the sorted x from ``first`` up to ``last``."""
-    many = last - first
-    which = np.repeat(np.arange(len(y)), many)
-    place = np.arange(len(which)) - np.repeat(np.cumsum(many) - many, many) + np.repeat(first, many)
-    differences: Array = x[place] - y[which]
+    counts = last - first
+    y_indices = np.repeat(np.arange(len(y)), counts)
+    place = np.arange(len(y_indices)) - np.repeat(np.cumsum(counts) - counts, counts) + np.repeat(first, counts)
+    differences: Array = x[place] - y[y_indices]
     return differences
 
 
-#: Without ties and up to this many pairs the distribution of U is counted; beyond, it is normal to three digits.
+#: Largest number of pairs for which the distribution of U is counted, without ties; beyond, it is normal to 3 digits.
 MOST_COUNTED = 2500
 
 
@@ -137,13 +137,13 @@ def shift(
     """
     share(confidence, "confidence")
     x, y = (sample(values, name) for values, name in zip((first, second), names, strict=True))
-    every = np.concatenate([x, y])
-    if constant(every):
-        raise NumericsError(f"{names[0]} − {names[1]}: all values are {every[0]:.6g}, so they cannot be ranked")
-    ranks, pairs = stats.rankdata(every), len(x) * len(y)
+    pooled = np.concatenate([x, y])
+    if constant(pooled):
+        raise NumericsError(f"{names[0]} − {names[1]}: all values are {pooled[0]:.6g}, so they cannot be ranked")
+    ranks, pairs = stats.rankdata(pooled), len(x) * len(y)
     statistic = float(ranks[: len(x)].sum()) - len(x) * (len(x) + 1) / 2
-    exact = pairs <= MOST_COUNTED and len(np.unique(every)) == len(every)
-    spread = _deviation_of_u(every, len(x), len(y))
+    exact = pairs <= MOST_COUNTED and len(np.unique(pooled)) == len(pooled)
+    spread = _deviation_of_u(pooled, len(x), len(y))
     p_value = _exact_p_value(statistic, len(x), len(y)) if exact else _approximate(statistic, pairs, spread)
     rank = _critical(len(x), len(y), confidence) if exact else _normal_critical(pairs, spread, confidence)
     interval = None
@@ -170,25 +170,27 @@ def brunner_munzel(
     """
     share(confidence, "confidence")
     x, y = (sample(values, name, least=2) for values, name in zip((first, second), names, strict=True))
-    both = stats.rankdata(np.concatenate([x, y]))
-    ranks = both[: len(x)], both[len(x) :]
+    pooled_ranks = stats.rankdata(np.concatenate([x, y]))
+    ranks = pooled_ranks[: len(x)], pooled_ranks[len(x) :]
     value = float(ranks[1].mean() - ranks[0].mean()) / (len(x) + len(y)) + 0.5
     # Placements: how many of the other group each value exceeds.
     placements = [rank - stats.rankdata(group) for rank, group in zip(ranks, (x, y), strict=True)]
-    parts = [
+    variances = [
         float(np.var(placed, ddof=1)) / (other**2 * len(placed))
         for placed, other in zip(placements, (len(y), len(x)), strict=True)
     ]
-    variance = sum(parts)
+    variance = sum(variances)
     if not variance:
         raise NumericsError(
             f"{names[0]} and {names[1]}: the groups do not overlap, so Brunner–Munzel's test has no variance",
             remedy="use the Mann–Whitney test",
         )
-    freedom = 1 / sum((part / variance) ** 2 / (len(g) - 1) for part, g in zip(parts, (x, y), strict=True))
+    freedom = 1 / sum(
+        (group_variance / variance) ** 2 / (len(g) - 1) for group_variance, g in zip(variances, (x, y), strict=True)
+    )
     error, statistic = sqrt(variance), (value - 0.5) / sqrt(variance)
-    half = float(stats.t.isf((1 - confidence) / 2, freedom)) * error
-    interval = Interval(max(value - half, 0.0), min(value + half, 1.0), confidence)
+    half_width = float(stats.t.isf((1 - confidence) / 2, freedom)) * error
+    interval = Interval(max(value - half_width, 0.0), min(value + half_width, 1.0), confidence)
     return RelativeEffect(value, interval, statistic, freedom, float(2 * stats.t.sf(abs(statistic), freedom)))
 
 

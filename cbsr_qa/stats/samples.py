@@ -19,7 +19,7 @@ from scipy import special
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 
-#: Beyond it squares and their sums overflow.
+#: Largest absolute value; the squares of larger ones, or their sums, overflow.
 LARGEST = 1e150
 #: Spread, relative to the largest magnitude, below which values differ by rounding only.
 LEAST_SPREAD = 1e-13
@@ -31,7 +31,7 @@ class Interval:
 
     Parameters
     ----------
-    low, high : in the unit of what it is about; infinite where one side is open.
+    low, high : ends of the interval, in the unit of the estimate; infinite where one side is open.
     confidence : share of samples whose interval holds the true value, between 0 and 1.
     """
 
@@ -85,7 +85,7 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     values : finite numbers below 1e150 in magnitude.
     what : whose they are, for messages.
     least : smallest number of values.
-    spread : whether they must differ.
+    spread : whether the values must differ.
 
     Raises
     ------
@@ -94,8 +94,8 @@ def sample(values: Iterable[float], what: str, *, least: int = 1, spread: bool =
     """
     array = np.asarray(values if isinstance(values, np.ndarray) else list(values), dtype=float)
     if array.ndim != 1 or len(array) < least:
-        found = f"{len(array)} value{'s' * (len(array) != 1)}" if array.ndim == 1 else f"an array {array.shape}"
-        raise NumericsError(f"{what}: {found} instead of at least {least}")
+        shape_words = f"{len(array)} value{'s' * (len(array) != 1)}" if array.ndim == 1 else f"an array {array.shape}"
+        raise NumericsError(f"{what}: {shape_words} instead of at least {least}")
     bad = np.flatnonzero(~np.isfinite(array))
     if len(bad):
         raise NumericsError(
@@ -128,7 +128,7 @@ class Summary:
     Parameters
     ----------
     count : n, at least 1.
-    mean : in the values' unit.
+    mean : mean in the values' unit.
     deviation : s with n − 1, in the values' unit; None for one value, 0 for equal ones.
     autocorrelation : r₁ of values in their order; None for equal values or fewer than three.
     """
@@ -150,9 +150,9 @@ class Quantile:
 
     Parameters
     ----------
-    share : of the population below it.
-    value : by linear interpolation between ordered values (Hyndman & Fan 1996, type 7, as numpy and R).
-    interval : from two ordered values, whatever the distribution; None where the sample is too small for it.
+    share : share of the population below the quantile.
+    value : estimate by linear interpolation between ordered values (Hyndman & Fan 1996, type 7, as numpy and R).
+    interval : interval between two ordered values, for any distribution; None where the sample is too small for it.
     needed : number of values needed for an interval.
     """
 
@@ -171,13 +171,13 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
         No values, or missing, infinite or too large ones.
     """
     array = sample(values, what)
-    mean, rest = subtract_mean(array)
+    mean, deviations = subtract_mean(array)
     if len(array) == 1:
         return Summary(1, mean, None, None)
     if constant(array):
         return Summary(len(array), mean, 0.0, None)
-    scale = float(np.abs(rest).max())  # neither tiny nor huge deviations lose their squares
-    unit = rest / scale
+    scale = float(np.abs(deviations).max())  # neither tiny nor huge deviations lose their squares
+    unit = deviations / scale
     squares = fsum(unit**2)
     deviation = scale * sqrt(squares / (len(array) - 1))
     lagged = fsum(unit[1:] * unit[:-1]) / squares if len(array) > 2 else None
@@ -186,10 +186,10 @@ def summary(values: Iterable[float], what: str = "values") -> Summary:
 
 def subtract_mean(array: Array) -> tuple[float, Array]:
     """Return the mean of (n,) values and the deviations from it, corrected for the mean's rounding."""
-    near = fsum(array) / len(array)
-    away = array - near
-    correction = fsum(away) / len(array)
-    return near + correction, away - correction
+    approximate_mean = fsum(array) / len(array)
+    deviations = array - approximate_mean
+    correction = fsum(deviations) / len(array)
+    return approximate_mean + correction, deviations - correction
 
 
 def quantile(values: Iterable[float], below: float, *, confidence: float = 0.95, what: str = "values") -> Quantile:
@@ -242,12 +242,12 @@ def smallest(enough: Callable[[int], bool], above: int, most: int, beyond: str) 
 
     NumericsError with the message ``beyond`` if more than ``most`` would be needed.
     """
-    fewer, count = above, 2 * above
+    insufficient, count = above, 2 * above
     while not enough(count):
-        fewer, count = count, 2 * count
+        insufficient, count = count, 2 * count
         if count > most:
             raise NumericsError(beyond)
-    while count - fewer > 1:
-        middle = (count + fewer) // 2
-        fewer, count = (fewer, middle) if enough(middle) else (middle, count)
+    while count - insufficient > 1:
+        middle = (count + insufficient) // 2
+        insufficient, count = (insufficient, middle) if enough(middle) else (middle, count)
     return count

@@ -11,8 +11,8 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.intervals import factor_of_quantile, two_sided_factor
 from cbsr_qa.stats.worst_value import skewness_ratio, worst_of
 
-#: Fewer repeated runs hardly determine how runs of one sensor differ: allowing for their uncertainty would widen
-#: limits (by half for one repeat) more than the repeats help.
+#: Smallest number of repeated runs that is used; fewer hardly determine how runs of one sensor differ: allowing for
+#: their uncertainty would widen limits (by half for one repeat) more than the repeats help.
 FEWEST_REPEATS = 4
 
 _DRAWS = 20_000
@@ -25,12 +25,12 @@ class Components:
 
     Parameters
     ----------
-    sensors : how many.
-    mean : of the sensors' means, each with equal weight however often it was run.
+    sensors : number of sensors.
+    mean : mean of the sensors' means, each with equal weight however often it was run.
     between : variance of the sensors' means.
     within : variance between runs of one sensor; None if no sensor was run twice.
-    repeats : its degrees of freedom.
-    share : of ``within`` that the sensors' means average away, 1 − 1/r̃ with r̃ the harmonic mean of runs a sensor.
+    repeats : degrees of freedom of ``within``.
+    share : share of ``within`` that the sensors' means average away: 1 − 1/r̃, r̃ the harmonic mean of runs a sensor.
     """
 
     sensors: int
@@ -54,14 +54,14 @@ class Components:
         Parameters
         ----------
         coverage, confidence : shares between 0 and 1.
-        values : each number is the largest of this many normal ones, see :mod:`cbsr_qa.stats.worst_value`.
+        values : number of normal values of which each number is the largest, see :mod:`cbsr_qa.stats.worst_value`.
         """
         quantile = worst_of(values).quantile(coverage)
-        raised = skewness_ratio(coverage, confidence, values, self.sensors)
+        skewness_factor = skewness_ratio(coverage, confidence, values, self.sensors)
         if not self.repeats:
-            return raised * factor_of_quantile(quantile, confidence, self.sensors, self.sensors - 1)
+            return skewness_factor * factor_of_quantile(quantile, confidence, self.sensors, self.sensors - 1)
         offset, deviation = self._draws()
-        return raised * float(np.quantile(offset + quantile * deviation, confidence)) / self.deviation
+        return skewness_factor * float(np.quantile(offset + quantile * deviation, confidence)) / self.deviation
 
     def interval_factor(self, coverage: float, confidence: float) -> float:
         """Return k of mean ± k deviation, within which this share of single runs of single sensors lies.
@@ -73,16 +73,16 @@ class Components:
         offset, deviation = self._draws()
         away = np.abs(offset) / deviation
         nodes = np.linspace(0.0, float(away.max()), _NODES)  # smooth in between, and slow to compute for every draw
-        half = deviation * np.interp(away, nodes, np.sqrt(stats.ncx2.ppf(coverage, 1, nodes**2)))
-        return float(np.quantile(half, confidence)) / self.deviation
+        half_widths = deviation * np.interp(away, nodes, np.sqrt(stats.ncx2.ppf(coverage, 1, nodes**2)))
+        return float(np.quantile(half_widths, confidence)) / self.deviation
 
     def _draws(self) -> tuple[Array, Array]:
         """Fiducial draws of the mean's error and of the deviation; the seed is fixed, so that a lot has one limit."""
         random, freedom = np.random.default_rng(20090502), self.sensors - 1
-        between = freedom * self.between / random.chisquare(freedom, _DRAWS)
-        within = self.repeats * (self.within or 0.0) / random.chisquare(self.repeats, _DRAWS)
-        offset = random.standard_normal(_DRAWS) * np.sqrt(between / self.sensors)
-        return offset, np.sqrt(between + self.share * within)
+        between_draws = freedom * self.between / random.chisquare(freedom, _DRAWS)
+        within_draws = self.repeats * (self.within or 0.0) / random.chisquare(self.repeats, _DRAWS)
+        offset = random.standard_normal(_DRAWS) * np.sqrt(between_draws / self.sensors)
+        return offset, np.sqrt(between_draws + self.share * within_draws)
 
 
 def telling_runs(runs: Sequence[Sequence[float]]) -> Sequence[Sequence[float]]:

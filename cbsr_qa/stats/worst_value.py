@@ -62,17 +62,20 @@ def skewness_ratio(coverage: float, confidence: float, values: int, sensors: int
 
     Parameters
     ----------
-    coverage, confidence : of the bound mean + k s.
-    values : of each sensor.
-    sensors : behind the mean and s.
+    coverage, confidence : coverage and confidence of the bound mean + k s.
+    values : number of values of each sensor.
+    sensors : number of sensors behind the mean and s.
     """
     if values == 1:
         return 1.0
-    shape, drawn = worst_of(values), min(sensors, _MOST_DRAWN)
+    shape, drawn_sensors = worst_of(values), min(sensors, _MOST_DRAWN)
     random = np.random.default_rng(20090101)
-    pivots = np.concatenate([_pivots(random, shape, coverage, drawn) for _ in range(10)])
-    needed = float(np.quantile(pivots, confidence))
-    return max(needed / factor_of_quantile(shape.quantile(coverage), confidence, drawn, drawn - 1), 1.0)
+    pivots = np.concatenate([_pivots(random, shape, coverage, drawn_sensors) for _ in range(10)])
+    needed_factor = float(np.quantile(pivots, confidence))
+    return max(
+        needed_factor / factor_of_quantile(shape.quantile(coverage), confidence, drawn_sensors, drawn_sensors - 1),
+        1.0,
+    )
 
 
 def _pivots(random: np.random.Generator, shape: WorstOf, coverage: float, sensors: int) -> Array:

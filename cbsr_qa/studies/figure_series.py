@@ -43,28 +43,31 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
 
     A metric in several units within a run has no value there, with a note.
     """
-    keys = [(replace(of.key, location=of.location) if by_location else of.key, of.unit) for of in table.kinds]
+    keys = [
+        (replace(entry.key, location=entry.location) if by_location else entry.key, entry.unit)
+        for entry in table.kinds
+    ]
     columns = sorted(set(keys))
     places = {key: place for place, key in enumerate(columns)}
     column = np.array([places[key] for key in keys], dtype=np.intp)
-    limits = np.array([(of.lower, of.upper) for of in table.kinds], dtype=np.float64).reshape(-1, 2)
+    limits = np.array([(entry.lower, entry.upper) for entry in table.kinds], dtype=np.float64).reshape(-1, 2)
     cells, cell = np.unique(table.run.astype(np.intp) * len(columns) + column[table.kind], return_inverse=True)
     lower, upper = np.full((2, len(cells)), np.nan)
     np.fmax.at(lower, cell, limits[table.kind, 0])
     np.fmin.at(upper, cell, limits[table.kind, 1])
     counts = np.bincount(cell)
-    missing = np.bincount(cell, np.isnan(table.value))
-    bounded = np.bincount(cell, table.state & State.LOWER_BOUND > 0)
+    missing_counts = np.bincount(cell, np.isnan(table.value))
+    bounded_counts = np.bincount(cell, table.state & State.LOWER_BOUND > 0)
     means = np.bincount(cell, table.value) / counts
-    numbers = (of.tolist() for of in (cells, means, counts, missing, bounded, lower, upper))
+    numbers = (entry.tolist() for entry in (cells, means, counts, missing_counts, bounded_counts, lower, upper))
     by_key: dict[MetricKey, dict[str, RunFigure]] = {}
-    for at, mean, count, absent, bounds, low, high in zip(*numbers, strict=True):
-        run, (key, unit) = table.runs[at // len(columns)].run, columns[at % len(columns)]
+    for cell_number, mean, count, absent, bounds, low, high in zip(*numbers, strict=True):
+        run, (key, unit) = table.runs[cell_number // len(columns)].run, columns[cell_number % len(columns)]
         value = None if absent or bounds else mean
         ends = [None if isnan(end) else end for end in (low, high)]
         figure = RunFigure(run, key, unit, value, count, int(absent), int(bounds), ends[0], ends[1])
-        of_key = by_key.setdefault(key, {})
-        of_key[run] = _merge_units(of_key[run], figure) if run in of_key else figure
+        figures_by_run = by_key.setdefault(key, {})
+        figures_by_run[run] = _merge_units(figures_by_run[run], figure) if run in figures_by_run else figure
     return by_key
 
 
@@ -80,17 +83,23 @@ def series_of(runs: Sequence[RunLine], figures: Figures, names: Sequence[str] = 
     RefusedError
         If no run measured a name (with the nearest one), or no run measured anything.
     """
-    of_runs = {run.run for run in runs}
-    by_key = {key: own for key, of in figures.items() if (own := {run: of[run] for run in of if run in of_runs})}
+    run_ids = {run.run for run in runs}
+    by_key = {
+        key: selected_figures
+        for key, figures_by_run in figures.items()
+        if (selected_figures := {run: figures_by_run[run] for run in figures_by_run if run in run_ids})
+    }
     if not by_key:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
-    measured = {key.name for key in by_key}
+    measured_names = {key.name for key in by_key}
     for name in names:
-        if name not in measured:
-            raise missing_metric_error(name, measured)
-    limited = [key for key, of in by_key.items() if any(_has_limit(figure) for figure in of.values())]
-    wanted = [key for key in by_key if key.name in names] if names else limited or list(by_key)
-    return [_series(key, runs, by_key[key]) for key in wanted]
+        if name not in measured_names:
+            raise missing_metric_error(name, measured_names)
+    limited_keys = [
+        key for key, figures_by_run in by_key.items() if any(_has_limit(figure) for figure in figures_by_run.values())
+    ]
+    chosen_keys = [key for key in by_key if key.name in names] if names else limited_keys or list(by_key)
+    return [_series(key, runs, by_key[key]) for key in chosen_keys]
 
 
 def _has_limit(figure: RunFigure) -> bool:
@@ -99,27 +108,27 @@ def _has_limit(figure: RunFigure) -> bool:
 
 def _merge_units(first: RunFigure, second: RunFigure) -> RunFigure:
     units = tuple(sorted({*(first.units or (first.unit,)), second.unit}))
-    most = max(first, second, key=lambda figure: figure.places)
-    return replace(most, value=None, places=first.places + second.places, units=units)
+    larger = max(first, second, key=lambda figure: figure.places)
+    return replace(larger, value=None, places=first.places + second.places, units=units)
 
 
 def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFigure]) -> Series:
-    there = [figures[run.run] for run in runs if run.run in figures]
-    whole = [figure for figure in there if not figure.units] or there
-    unit = _most(figure.unit for figure in whole)
-    places = _most(figure.places for figure in whole if figure.unit == unit)
-    kept: list[tuple[RunLine, float]] = []
-    left: dict[str, list[str]] = {}
+    run_figures = [figures[run.run] for run in runs if run.run in figures]
+    single_unit_figures = [figure for figure in run_figures if not figure.units] or run_figures
+    unit = _most(figure.unit for figure in single_unit_figures)
+    places = _most(figure.places for figure in single_unit_figures if figure.unit == unit)
+    valued_runs: list[tuple[RunLine, float]] = []
+    runs_by_reason: dict[str, list[str]] = {}
     for run in runs:
         figure = figures.get(run.run)
-        why = _why_not(figure, unit, places)
-        if why:
-            left.setdefault(why, []).append(run.words)
+        reason = _why_not(figure, unit, places)
+        if reason:
+            runs_by_reason.setdefault(reason, []).append(run.words)
         elif figure is not None and figure.value is not None:
-            kept.append((run, figure.value))
-    notes = tuple(f"left out: {why}: {list_names(who)}" for why, who in left.items())
-    lines, values = tuple(run for run, _ in kept), tuple(value for _, value in kept)
-    return Series(key, unit, lines, values, there[-1].lower, there[-1].upper, notes)
+            valued_runs.append((run, figure.value))
+    notes = tuple(f"left out: {reason}: {list_names(run_words)}" for reason, run_words in runs_by_reason.items())
+    lines, values = tuple(run for run, _ in valued_runs), tuple(value for _, value in valued_runs)
+    return Series(key, unit, lines, values, run_figures[-1].lower, run_figures[-1].upper, notes)
 
 
 def _why_not(figure: RunFigure | None, unit: str, places: int) -> str:

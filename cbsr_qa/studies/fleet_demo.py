@@ -49,7 +49,7 @@ _IN_GAUGE_STUDY: Final = 6  # of batch 41, each twice on every station
 _AT_HOME: Final = 12  # share of them on the batch's own station: stations and batches are strongly confounded
 _EFFECT: Final = 1.5  # in deviations between sensors: difference of batch 43, and of station B
 
-#: Stated in the database, on pages and in reports.
+#: Statement in the database, on pages and in reports.
 SAID: Final = (
     "figures are drawn from a statistical model of a fleet: nothing was measured, no sheet and no frame was simulated"
 )
@@ -64,9 +64,9 @@ class Drawn:
 
     Parameters
     ----------
-    mean : of batch 41 on station A, in the unit.
+    mean : mean of batch 41 on station A, in the unit.
     sensor, run, place : standard deviations between sensors, runs of a sensor, and places of a run (or 0).
-    batch, station : what batch 43 and station B add, in deviations between sensors.
+    batch, station : offsets of batch 43 and of station B, in deviations between sensors.
     """
 
     name: str
@@ -116,16 +116,16 @@ def build_fleet(count: Callable[[int, int], None] = lambda done, of: None, *, pa
     runs = tuple(yield_runs())
     kinds = {(run.recipe, run.station): run for run in runs}
     configurations = {kind: _configuration(run) for kind, run in kinds.items()}
-    now = _BEGAN
+    clock_time = _BEGAN
     # Designs have separate random numbers, so that runs of one do not affect another.
     compared, repeated = np.random.default_rng(SEED), np.random.default_rng([SEED, len(_LETTERS)])
     draws = {ONE_STATION: compared, THIRD_ON_ALL: compared, REPEATED: repeated}
     sensors = {run.serial: draws[run.recipe].standard_normal(len(DRAWN)) for run in runs}
-    with open_store(f"sqlite:///{path}", durable=False, wall=lambda: now) as store:
+    with open_store(f"sqlite:///{path}", durable=False, wall=lambda: clock_time) as store:
         for done, run in enumerate(runs, start=1):
-            now += _APART
+            clock_time += _APART
             figures = _figures(run, sensors[run.serial], draws[run.recipe])
-            _store(store, run, configurations[run.recipe, run.station], figures, now)
+            _store(store, run, configurations[run.recipe, run.station], figures, clock_time)
             count(done, len(runs))
     return path
 
@@ -215,12 +215,12 @@ def _store(
     )
     for document in _documents(identity):
         journal(document)
-    measured = _measurements(figures, configuration)
+    measurements = _measurements(figures, configuration)
     result = RunResult(
         record=store.runs.load(identity.run),
         observation=None,
-        measurements=measured,
-        verdict=decide(measured),
+        measurements=measurements,
+        verdict=decide(measurements),
         calibration=None,
         calibration_why=SAID,
         warnings=(SAID,),
@@ -245,8 +245,10 @@ def _measurements(figures: dict[str, np.ndarray], configuration: Configuration) 
     measurements = []
     for metric in DRAWN:
         for number, value in enumerate(figures[metric.name]):
-            measured = Measurement(metric.name, float(value), metric.unit, how="drawn from a statistical model")
+            measurement = Measurement(metric.name, float(value), metric.unit, how="drawn from a statistical model")
             if metric.place:
-                measured = replace(measured, phase=_PHASE, location=f"L{number}", trial=0, load=number, strain=0.2)
-            measurements.append(measured.judge(limits[metric.name]))
+                measurement = replace(
+                    measurement, phase=_PHASE, location=f"L{number}", trial=0, load=number, strain=0.2
+                )
+            measurements.append(measurement.judge(limits[metric.name]))
     return tuple(measurements)

@@ -37,8 +37,8 @@ _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
 def nearest(name: str, known: Collection[str], there_are: str) -> str:
     """Remedy for an unknown name: the nearest one, and the known ones."""
-    every = f"{there_are}: {list_names(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
-    return f"{did_you_mean(name, known)} {every}".lstrip()
+    all_names = f"{there_are}: {list_names(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
+    return f"{did_you_mean(name, known)} {all_names}".lstrip()
 
 
 def missing_metric_error(name: str, known: Collection[str], at: str = "") -> RefusedError:
@@ -49,11 +49,11 @@ def missing_metric_error(name: str, known: Collection[str], at: str = "") -> Ref
 def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[tuple[str, str, str, Collection[str]]]:
     """Yield names of a selection without runs: noun, field of the selection, name, known names."""
     for noun, field, attribute in _NAMES:
-        wanted = getattr(selection, field)
-        known = {getattr(run, attribute) for run in runs} - {""}
-        for name in (wanted,) if isinstance(wanted, str) else wanted or ():
-            if name not in known:
-                yield noun, field, name, known
+        selected = getattr(selection, field)
+        known_names = {getattr(run, attribute) for run in runs} - {""}
+        for name in (selected,) if isinstance(selected, str) else selected or ():
+            if name not in known_names:
+                yield noun, field, name, known_names
 
 
 def check_names(store: Repository, selection: RunSelection, at: Callable[[str], str] = lambda field: "") -> None:
@@ -63,12 +63,14 @@ def check_names(store: Repository, selection: RunSelection, at: Callable[[str], 
     ----------
     at : position of a selection's field in a file, at the beginning of the message.
     """
-    absent = list(absent_names(selection, store.fleet.read_lines()))
-    if absent:
-        noun, _, name, known = absent[0]
+    absent_entries = list(absent_names(selection, store.fleet.read_lines()))
+    if absent_entries:
+        noun, _, name, known_names = absent_entries[0]
         raise RefusedError(
-            "\n".join(f"{at(field)}no stored run is of {noun} {echo(name, 64)}" for noun, field, name, _ in absent),
-            remedy=nearest(name, known, "batches" if noun == "batch" else f"{noun}s"),
+            "\n".join(
+                f"{at(field)}no stored run is of {noun} {echo(name, 64)}" for noun, field, name, _ in absent_entries
+            ),
+            remedy=nearest(name, known_names, "batches" if noun == "batch" else f"{noun}s"),
         )
 
 
@@ -76,26 +78,26 @@ def software_words(runs: Sequence[RunLine]) -> list[str]:
     """Name the software versions of the analyses: the program, and packages that differ between runs."""
     versions = {run.software for run in runs}
     common = set.intersection(*map(set, versions)) if versions else set()
-    words = {
+    words_by_software = {
         pairs: ", ".join(
             f"{name} {version}" for name, version in pairs if (name, version) not in common or name == "cbsr-qa"
         )
         for pairs in versions
     }
-    return [words[run.software] for run in runs]
+    return [words_by_software[run.software] for run in runs]
 
 
 def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
     """Name runs whose times show that a station's clock was wrong; their identifiers give the order."""
     notes = []
     for station in sorted({run.station for run in runs}):
-        own = [run for run in runs if run.station == station]
-        for before, after in pairwise(own):
-            back = before.started_at - after.started_at
-            if back > _CLOCK_STEP:
+        station_runs = [run for run in runs if run.station == station]
+        for earlier, later in pairwise(station_runs):
+            gap = earlier.started_at - later.started_at
+            if gap > _CLOCK_STEP:
                 notes.append(
-                    f"the clock of {prefix_kind('station', station)} was wrong by about {_span(back)} at one of two "
-                    f"runs: {after.words} came after {before.words}; "
+                    f"the clock of {prefix_kind('station', station)} was wrong by about {_span(gap)} at one of two "
+                    f"runs: {later.words} came after {earlier.words}; "
                     "runs are in the order they were made in, not in that of the clock"
                 )
     return tuple(notes)
@@ -110,13 +112,13 @@ def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...
         notes.append(
             f"the runs were analysed with several versions of cbsr-qa: {counts}; a change may be the software's"
         )
-    first, last = runs[0], runs[-1]
-    if measuring_digest(store.runs.read_configuration(first.run)) != measuring_digest(
-        store.runs.read_configuration(last.run)
+    first_run, last_run = runs[0], runs[-1]
+    if measuring_digest(store.runs.read_configuration(first_run.run)) != measuring_digest(
+        store.runs.read_configuration(last_run.run)
     ):
         notes.append(
-            f"recipe {last.recipe}, sensor type, material or head was not the same at the first of these runs, "
-            f"{first.words}, and at the last, {last.words}; a change may be theirs"
+            f"recipe {last_run.recipe}, sensor type, material or head was not the same at the first of these runs, "
+            f"{first_run.words}, and at the last, {last_run.words}; a change may be theirs"
         )
     return tuple(notes)
 
@@ -127,7 +129,7 @@ def several_recipes(recipes: Collection[str]) -> str:
 
 
 def measuring_digest(configuration: str, adopted: str = "") -> str:
-    """SHA-256 of what affects numbers in a stored configuration: not limits, nor the seed of a simulation.
+    """SHA-256 of the parts of a stored configuration that affect numbers: neither limits nor a simulation's seed.
 
     Parameters
     ----------

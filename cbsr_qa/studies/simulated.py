@@ -32,10 +32,16 @@ def configuration_of(
     seed: int,
 ) -> Configuration:
     """Merge documents of a simulated station; the material is the station's by default."""
-    at = load_station(dict(station))
-    chosen = at.value.material if material is None else material
-    loaded = load_material(chosen if isinstance(chosen, str) else dict(chosen))
-    return merge(at, load_recipe(dict(recipe)), load_sensor_type(at.value.sensor_type), loaded, seed=seed)
+    loaded_station = load_station(dict(station))
+    chosen = loaded_station.value.material if material is None else material
+    loaded_material = load_material(chosen if isinstance(chosen, str) else dict(chosen))
+    return merge(
+        loaded_station,
+        load_recipe(dict(recipe)),
+        load_sensor_type(loaded_station.value.sensor_type),
+        loaded_material,
+        seed=seed,
+    )
 
 
 def simulate_run(
@@ -65,7 +71,9 @@ def simulate_run(
             configuration_digest=configuration.digest,
             software=software_versions(plugins),
             instruments=instruments,
-            simulated=tuple(f"{each.role}: {each.model}" for each in instruments if each.simulated),
+            simulated=tuple(
+                f"{instrument.role}: {instrument.model}" for instrument in instruments if instrument.simulated
+            ),
         )
         journal = MemoryJournal(plan)
         return journal.record(identity, execute(plan, identity, bench, clock, [journal])), bench

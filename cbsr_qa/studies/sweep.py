@@ -15,14 +15,14 @@ from cbsr_qa.system.foreign import LARGEST_FILE, read_foreign
 from cbsr_qa.system.json_text import parse_json
 from cbsr_qa.system.workers import delay_interrupts, worker_pool
 
-#: Called with the numbers of pieces done and in total, and the last piece.
+#: Function called with the numbers of pieces done and in total, and the last piece.
 Tell = Callable[[int, int, str], None]
 Documents = list[dict[str, Any]]
 Job = TypeVar("Job")
 Result = TypeVar("Result")
 
 _START: Final = b'{"key": "'
-#: A Ctrl-C that comes just as a wait begins is heard when the wait ends.
+#: Longest wait [s]: a Ctrl-C that comes just as a wait begins has its effect when the wait ends.
 _HEARD_S: Final = 1.0
 _BEGIN_AGAIN: Final = "move it away, or begin again with --fresh, which removes it"
 
@@ -62,13 +62,15 @@ class Kept:
             text = read_foreign(path, LARGEST_FILE)
         except OSError as error:
             raise StoreError(f"{path} cannot be read: {error.strerror or error}", remedy=_BEGIN_AGAIN) from error
-        *lines, last = text.split(b"\n")
+        *lines, unfinished_line = text.split(b"\n")
         for number, line in enumerate(lines, 1):
             self._take(path, number, line)
-        if last[: len(_START)] != _START[: len(last)]:
-            self._take(path, len(lines) + 1, last)  # complete, so it is another file's content and is refused
-        elif last:
-            self._cut_at = len(text) - len(last)
+        if unfinished_line[: len(_START)] != _START[: len(unfinished_line)]:
+            self._take(
+                path, len(lines) + 1, unfinished_line
+            )  # complete, so it is another file's content and is refused
+        elif unfinished_line:
+            self._cut_at = len(text) - len(unfinished_line)
 
     def _take(self, path: Path, number: int, line: bytes) -> None:
         try:
@@ -104,10 +106,10 @@ def compute_pieces(work: Sequence[Work], kept: Kept, tell: Tell, *, processes: i
     Results do not depend on the number of processes. If a piece raises, no further one is started, running ones are
     finished and stored, and its error is raised. Ctrl-C stops at once; finished pieces are stored.
     """
-    left = [piece for piece in work if piece.key not in kept.found]
-    done = len(work) - len(left)
+    remaining = [piece for piece in work if piece.key not in kept.found]
+    done = len(work) - len(remaining)
     tell(done, len(work), "begun" if done == 0 else "resumed")
-    with closing(run_jobs(left, _compute_piece, processes)) as pieces:
+    with closing(run_jobs(remaining, _compute_piece, processes)) as pieces:
         for piece, documents in pieces:
             kept.keep(piece.key, documents)
             done += 1
@@ -140,21 +142,21 @@ def run_jobs(
         for job in jobs:
             yield job, run(job)
         return
-    failed: BaseException | None = None
+    first_error: BaseException | None = None
     with worker_pool(processes) as pool:
         with delay_interrupts():
             futures = {pool.submit(run, job): job for job in jobs}
-        left = set(futures)
-        while left:
-            done, left = wait(left, timeout=_HEARD_S, return_when=FIRST_COMPLETED)
+        pending = set(futures)
+        while pending:
+            done, pending = wait(pending, timeout=_HEARD_S, return_when=FIRST_COMPLETED)
             for future in done:
                 if future.cancelled():
                     continue
                 if (error := future.exception()) is None:
                     yield futures[future], future.result()
-                elif failed is None:
-                    failed = error
+                elif first_error is None:
+                    first_error = error
                     for other in futures:
                         other.cancel()  # running jobs are finished and stored
-    if failed is not None:
-        raise failed
+    if first_error is not None:
+        raise first_error

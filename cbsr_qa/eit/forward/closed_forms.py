@@ -22,7 +22,7 @@ class ConcentricSheet:
 
     Parameters
     ----------
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
     conductance_S : sheet conductance γ outside the inclusion.
     inclusion_radius_mm : 0 for a homogeneous sheet; below the sheet's.
     inclusion_conductance_S : γ_i; 0 is a hole.
@@ -41,10 +41,10 @@ class ConcentricSheet:
 
     def gain(self, order: Array) -> Array:
         """g_n, the factor by which the inclusion changes the potential of the n-th harmonic; 1 if homogeneous."""
-        own, other = self.conductance_S, self.inclusion_conductance_S
+        outer, inner = self.conductance_S, self.inclusion_conductance_S
         ratio = self.inclusion_radius_mm / self.radius_mm
-        seen = (own - other) / (own + other) * ratio ** (2 * order)
-        return (1 + seen) / (1 - seen)
+        reflection = (outer - inner) / (outer + inner) * ratio ** (2 * order)
+        return (1 + reflection) / (1 - reflection)
 
 
 def arc_transfer_impedance(
@@ -74,12 +74,12 @@ def arc_transfer_impedance(
     order = np.arange(1, harmonics + 1, dtype=np.float64)
     basis = np.stack([spherical_jn(p, order * half_width_rad) for p in range(modes)], axis=1)
     weight = sheet.gain(order) / (np.pi * sheet.conductance_S * order)
-    lags, which = _lags(angles_rad)
+    lags, lag_index = _lags(angles_rad)
     table = np.stack([_gram(basis, weight, order, lag) for lag in lags])  # (lags, modes, modes)
-    system = table[which].transpose(0, 2, 1, 3)  # (row electrode, row mode, column electrode, column mode)
-    own = np.arange(count)
+    system = table[lag_index].transpose(0, 2, 1, 3)  # (row electrode, row mode, column electrode, column mode)
+    electrodes = np.arange(count)
     for p in range(modes):
-        system[own, p, own, p] += contact_impedance / (length * (2 * p + 1))
+        system[electrodes, p, electrodes, p] += contact_impedance / (length * (2 * p + 1))
     unknowns = count * (modes - 1)
     higher = system[:, 1:, :, 1:].reshape(unknowns, unknowns)
     coupling = system[:, 1:, :, 0].reshape(unknowns, count)
@@ -95,9 +95,9 @@ def project_to_ground(impedance: Array) -> Array:
 
 def _lags(angles_rad: Array) -> tuple[Array, Indices]:
     """Different angles between electrodes, and which of them each (row, column) has."""
-    apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
-    lags, which = np.unique(apart, return_inverse=True)
-    return lags, which.reshape(apart.shape)
+    angles_apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
+    lags, lag_index = np.unique(angles_apart, return_inverse=True)
+    return lags, lag_index.reshape(angles_apart.shape)
 
 
 def _gram(basis: Array, weight: Array, order: Array, lag: float) -> Array:
@@ -109,7 +109,7 @@ def _gram(basis: Array, weight: Array, order: Array, lag: float) -> Array:
     return np.select([turn == 0, turn == 1, turn == 2], [even, -odd, -even], odd)
 
 
-#: Fewer resistors do not form a ring.
+#: Smallest number of resistors that form a ring.
 FEWEST_RESISTORS = 3
 
 
@@ -139,8 +139,8 @@ def ring_impedance(resistances_ohm: Sequence[float] | Array) -> Array:
     if not (np.isfinite(ohm).all() and (ohm > 0).all()):
         bad = int(np.flatnonzero(~(np.isfinite(ohm) & (ohm > 0)))[0])
         raise NumericsError(f"resistor {bad} of the ring has {ohm[bad]:g} Ω", remedy="it must be positive and finite")
-    along = np.concatenate([[0.0], np.cumsum(ohm[:-1])])
-    arc = np.abs(along[:, None] - along)
+    positions = np.concatenate([[0.0], np.cumsum(ohm[:-1])])
+    arc = np.abs(positions[:, None] - positions)
     impedance: Array = -arc * (1 - arc / ohm.sum()) / 2
     return impedance
 

@@ -15,7 +15,7 @@ from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.elements import FiniteElements
 
-#: A larger share covers all of the element.
+#: Share above which a load covers all of the element.
 WHOLE: Final = 1 - 1e-12
 _LEVELS: Final = 5  # integration points, for the position of the covered part in a cut element
 _MARGIN: Final = 0.5  # how far a spread may leave [0, 1], as the best line through a step does
@@ -58,7 +58,7 @@ class Cover:
 
         Parameters
         ----------
-        conductance : (e,) of all elements without the load [S].
+        conductance : (e,) conductance of all elements without the load [S].
         relative : change of the covered material, above −1: one, or (k,).
 
         Returns
@@ -71,18 +71,19 @@ class Cover:
             If the change leaves no conductance, or is not finite.
         """
         relative = np.broadcast_to(np.asarray(relative, dtype=np.float64), self.share.shape)
-        wrong = np.flatnonzero(~((relative > -1) & (relative < np.inf)))
-        if wrong.size:
+        bad_indices = np.flatnonzero(~((relative > -1) & (relative < np.inf)))
+        if bad_indices.size:
             raise NumericsError(
-                f"a relative change of {relative[wrong[0]]} leaves no positive conductance", remedy="stay over −1"
+                f"a relative change of {relative[bad_indices[0]]} leaves no positive conductance",
+                remedy="stay over −1",
             )
-        part = self._within(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
+        spread = self._within(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
         relative = relative[:, None]
-        along = 1 + part * relative
-        across = 1 / (1 - part * relative / (1 + relative))
-        lower = np.where(self.share[:, None] < WHOLE, across - along, 0.0)[..., None, None]
+        along_factor = 1 + spread * relative
+        across_factor = 1 / (1 - spread * relative / (1 + relative))
+        lower = np.where(self.share[:, None] < WHOLE, across_factor - along_factor, 0.0)[..., None, None]
         turned = lower * self.across[..., :, None] * self.across[..., None, :]
-        change: Array = (along - 1)[..., None, None] * np.eye(2) + turned
+        change: Array = (along_factor - 1)[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
     def _within(self, margin: Array) -> Array:
@@ -98,19 +99,19 @@ class Cover:
 def cover(elements: FiniteElements, footprint: Footprint) -> Cover:
     """Area of each element covered by a load of any outline, exactly; triangles are taken as straight."""
     mesh = elements.mesh
-    near = elements_near(elements, footprint)
-    share = shares(footprint, mesh.corners_mm[near])
-    touched = near[share > 1e-12]
+    near_elements = elements_near(elements, footprint)
+    share = shares(footprint, mesh.corners_mm[near_elements])
+    touched = near_elements[share > 1e-12]
     share = np.minimum(share[share > 1e-12], 1.0)
     points = elements.shapes.points
     spread = np.repeat(share[:, None], len(points), axis=1)
-    across = np.zeros((*spread.shape, 2))
-    cut = np.flatnonzero(share < WHOLE)
-    corners = mesh.corners_mm[touched[cut]]
-    across[cut] = outline_normals(footprint, corners, points)
+    normals = np.zeros((*spread.shape, 2))
+    cut_indices = np.flatnonzero(share < WHOLE)
+    corners = mesh.corners_mm[touched[cut_indices]]
+    normals[cut_indices] = outline_normals(footprint, corners, points)
     if elements.order == 2:
-        spread[cut] += slopes(footprint, corners, share[cut]) @ (points - 1 / 3).T
-    return Cover(touched, share, spread, across)
+        spread[cut_indices] += slopes(footprint, corners, share[cut_indices]) @ (points - 1 / 3).T
+    return Cover(touched, share, spread, normals)
 
 
 def shares(footprint: Footprint, corners: Array) -> Array:
@@ -122,34 +123,34 @@ def shares(footprint: Footprint, corners: Array) -> Array:
 
 def elements_near(elements: FiniteElements, footprint: Footprint) -> Indices:
     """Elements whose bounding circle overlaps the footprint's box."""
-    drawn = footprint.outline_mm()
-    middle, half = (
-        (drawn.max(axis=0) + drawn.min(axis=0)) / 2,
-        0.51 * np.ptp(drawn, axis=0),
+    outline_mm = footprint.outline_mm()
+    middle, half_extent_mm = (
+        (outline_mm.max(axis=0) + outline_mm.min(axis=0)) / 2,
+        0.51 * np.ptp(outline_mm, axis=0),
     )
-    beside = np.abs(elements.mesh.centroids_mm - middle) - half
-    return np.flatnonzero((beside <= elements.reaches_mm[:, None]).all(axis=1))
+    distances_mm = np.abs(elements.mesh.centroids_mm - middle) - half_extent_mm
+    return np.flatnonzero((distances_mm <= elements.reaches_mm[:, None]).all(axis=1))
 
 
 def slopes(footprint: Footprint, corners: Array, share: Array) -> Array:
     """Linear function whose moments over the element are those of its covered part, less the mean: (k, 3)."""
     levels, weights = np.polynomial.legendre.leggauss(_LEVELS)
-    parts = _corners((levels + 1) / 2)
-    small = np.einsum("ipcb,kbx->kipcx", parts, corners)
+    triangles = _corners((levels + 1) / 2)
+    small = np.einsum("ipcb,kbx->kipcx", triangles, corners)
     covered = overlap_mm2(footprint, small.reshape(-1, 3, 2)).reshape(-1, 3, _LEVELS)
     moments = covered @ weights
-    whole = np.maximum(moments.sum(axis=1, keepdims=True), np.finfo(float).tiny)
+    total = np.maximum(moments.sum(axis=1, keepdims=True), np.finfo(float).tiny)
     # ∫ λ_i λ_j over the element is (1 + δ_ij)/12 of its area, so that slopes are twelve times the moments.
-    slopes: Array = 12 * share[:, None] * (moments / whole - 1 / 3)
+    slopes: Array = 12 * share[:, None] * (moments / total - 1 / 3)
     return slopes
 
 
 def _corners(levels: Array) -> Array:
     """Parts of a triangle where a barycentric coordinate is above a level, by their corners: (3, n, 3, 3)."""
-    parts = np.zeros((3, len(levels), 3, 3))
+    triangles = np.zeros((3, len(levels), 3, 3))
     for corner in range(3):
-        parts[corner] = np.eye(3)[corner] + (1 - levels)[:, None, None] * (np.eye(3) - np.eye(3)[corner])
-    return parts
+        triangles[corner] = np.eye(3)[corner] + (1 - levels)[:, None, None] * (np.eye(3) - np.eye(3)[corner])
+    return triangles
 
 
 def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Array:
@@ -162,8 +163,8 @@ def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Arra
         ahead, behind = (_distance_outside(footprint, places + s * step[..., None] * direction) for s in (1, -1))
         gradient[..., axis] = (ahead - behind) / (2 * step)
     length = np.hypot(gradient[..., 0], gradient[..., 1])
-    known = length > 0.5  # less at a ridge, where no outline is nearest
-    return np.where(known[..., None], gradient / np.where(known, length, 1)[..., None], 0.0)
+    is_known = length > 0.5  # less at a ridge, where no outline is nearest
+    return np.where(is_known[..., None], gradient / np.where(is_known, length, 1)[..., None], 0.0)
 
 
 def _distance_outside(footprint: Footprint, places: Array) -> Array:
@@ -194,7 +195,7 @@ class NestedCover:
 
         Parameters
         ----------
-        conductance : (e,) of all elements without the load [S].
+        conductance : (e,) conductance of all elements without the load [S].
         relative : change where the level is one, or (k,).
 
         Returns
@@ -215,11 +216,13 @@ class NestedCover:
                 f" {self.levels.max():.3g} times as hard as on average",
                 remedy="press less deep, or use a head with a more even pressure",
             )
-        along = (self.layers @ raised[..., None])[..., 0]
-        less = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance
-        across = less / (1 - less)
-        turned = (across - along)[..., None, None] * self.across[..., :, None] * self.across[..., None, :]
-        change: Array = along[..., None, None] * np.eye(2) + turned
+        along_change = (self.layers @ raised[..., None])[..., 0]
+        resistance_drop = (self.layers @ (raised / (1 + raised))[..., None])[..., 0]  # of the resistance
+        across_change = resistance_drop / (1 - resistance_drop)
+        turned = (
+            (across_change - along_change)[..., None, None] * self.across[..., :, None] * self.across[..., None, :]
+        )
+        change: Array = along_change[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
 
@@ -232,32 +235,36 @@ def cover_by_nested_outlines(
     ----------
     largest : the largest outline.
     centre_mm : about which the others are smaller.
-    sizes : (j,) of the outlines over the largest's, at most 1, falling.
+    sizes : (j,) sizes of the outlines over the largest's, at most 1, falling.
     weights : (j,) strength that each adds inside it.
     """
     mesh, centre = elements.mesh, np.array(centre_mm)
-    near = elements_near(elements, largest)
+    near_elements = elements_near(elements, largest)
     # A smaller outline covers an element as the largest one covers a larger element.
-    grown = (mesh.corners_mm[near] - centre) / sizes[:, None, None, None] + centre
-    share = np.minimum(shares(largest, grown.reshape(-1, 3, 2)).reshape(len(sizes), -1), 1.0)
-    touched = share.max(axis=0) > 1e-12
-    share, grown, near = share[:, touched], grown[:, touched], near[touched]
+    grown_corners = (mesh.corners_mm[near_elements] - centre) / sizes[:, None, None, None] + centre
+    share = np.minimum(shares(largest, grown_corners.reshape(-1, 3, 2)).reshape(len(sizes), -1), 1.0)
+    is_touched = share.max(axis=0) > 1e-12
+    share, grown_corners, near_elements = (
+        share[:, is_touched],
+        grown_corners[:, is_touched],
+        near_elements[is_touched],
+    )
     points = elements.shapes.points
     spread = np.repeat(share[..., None], len(points), axis=-1)
-    cut = (share > 1e-12) & (share < WHOLE)
+    is_cut = (share > 1e-12) & (share < WHOLE)
     if elements.order == 2:
-        line = slopes(largest, grown[cut], share[cut]) @ (points - 1 / 3).T
-        spread[cut] += _limit_sum(line, share[cut])
-    across = np.zeros((len(near), len(points), 2))
-    some = cut.any(axis=0)
-    across[some] = outline_normals(largest, mesh.corners_mm[near[some]], points)
-    return NestedCover(near, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), across)
+        line = slopes(largest, grown_corners[is_cut], share[is_cut]) @ (points - 1 / 3).T
+        spread[is_cut] += _limit_sum(line, share[is_cut])
+    normals = np.zeros((len(near_elements), len(points), 2))
+    is_ever_cut = is_cut.any(axis=0)
+    normals[is_ever_cut] = outline_normals(largest, mesh.corners_mm[near_elements[is_ever_cut]], points)
+    return NestedCover(near_elements, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), normals)
 
 
 def _layers(spread: Array) -> Array:
     """Shares of the layers (k, q, j + 1) from those within each outline (j, k, q)."""
-    within = np.concatenate([np.ones_like(spread[:1]), spread, np.zeros_like(spread[:1])])
-    layers: Array = np.moveaxis(within[:-1] - within[1:], 0, -1)
+    nested = np.concatenate([np.ones_like(spread[:1]), spread, np.zeros_like(spread[:1])])
+    layers: Array = np.moveaxis(nested[:-1] - nested[1:], 0, -1)
     return np.ascontiguousarray(layers)
 
 
@@ -266,5 +273,5 @@ def _limit_sum(line: Array, share: Array) -> Array:
     with np.errstate(divide="ignore"):
         above, below = line.max(axis=1), -line.min(axis=1)
         room = np.minimum((1 + _MARGIN - share) / above, (share + _MARGIN) / below)
-    held: Array = np.minimum(room, 1.0)[:, None] * line
-    return held
+    limited: Array = np.minimum(room, 1.0)[:, None] * line
+    return limited

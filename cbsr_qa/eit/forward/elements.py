@@ -24,7 +24,7 @@ class Shapes:
     ----------
     points : (q, 3) points inside a triangle, of equal weight.
     slopes : (q, k, 2) derivatives by the second and by the third barycentric coordinate.
-    edge_weights : (g,) of the points along an edge, with sum 1.
+    edge_weights : (g,) weights of the points along an edge, with sum 1.
     edge_values, edge_slopes : (g, b) functions of the edge and their derivatives from end to end.
     """
 
@@ -37,8 +37,8 @@ class Shapes:
 
 def _linear() -> Shapes:
     points = np.full((1, 3), 1 / 3)
-    along, weights = _gauss(2)
-    values = np.column_stack([1 - along, along])
+    nodes, weights = _gauss(2)
+    values = np.column_stack([1 - nodes, nodes])
     return Shapes(points, _free(np.eye(3)[None]), weights, values, np.tile([-1.0, 1.0], (2, 1)))
 
 
@@ -65,7 +65,7 @@ def _gauss(count: int) -> tuple[Array, Array]:
     return (points + 1) / 2, weights / 2
 
 
-#: by order
+#: Shapes by the order of the elements.
 SHAPES: Final = {1: _linear(), 2: _quadratic()}
 
 
@@ -74,7 +74,7 @@ class FiniteElements:
 
     Parameters
     ----------
-    mesh : its nodes come first.
+    mesh : mesh whose nodes come first.
     order : 1, the mesh's triangles; or 2, with the middles of edges as further nodes, following the mesh's arcs
         (isoparametric).
 
@@ -146,17 +146,17 @@ class FiniteElements:
         if self.order == 1:
             return edges
         count = len(self.mesh.nodes_mm)
-        known = self.mesh.edges @ np.array([count, 1])
-        wanted = np.sort(edges, axis=1) @ np.array([count, 1])
-        place = np.minimum(np.searchsorted(known, wanted), len(known) - 1)
-        stray = np.flatnonzero(known[place] != wanted)
-        if stray.size:
-            first, second = edges[stray[0]]
+        mesh_keys = self.mesh.edges @ np.array([count, 1])
+        edge_keys = np.sort(edges, axis=1) @ np.array([count, 1])
+        row = np.minimum(np.searchsorted(mesh_keys, edge_keys), len(mesh_keys) - 1)
+        stray_rows = np.flatnonzero(mesh_keys[row] != edge_keys)
+        if stray_rows.size:
+            first, second = edges[stray_rows[0]]
             raise NumericsError(
                 f"nodes {first} and {second} are joined by an arc or an electrode, but by no element's edge",
                 remedy="list edges of the mesh only",
             )
-        return np.column_stack([edges, count + place]).astype(np.int64)
+        return np.column_stack([edges, count + row]).astype(np.int64)
 
     def edge_masses(self, edges: Indices) -> Array:
         """∫ φ_i φ_j ds along edges of the mesh, over the nodes of :meth:`along`: (b, 2, 2) or (b, 3, 3) [mm]."""
@@ -191,8 +191,8 @@ def reaches_mm(mesh: Mesh) -> Array:
 def _outer(first: Array, second: Array) -> Array:
     count, q, k, _ = first.shape
     flat = (part.transpose(0, 2, 1, 3).reshape(count, k, 2 * q) for part in (first, second))
-    one, other = flat
-    return one @ other.swapaxes(1, 2)
+    first_flat, second_flat = flat
+    return first_flat @ second_flat.swapaxes(1, 2)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -203,8 +203,8 @@ class Contacts:
     ----------
     means : (n, electrodes) weights of the mean potential under each electrode; columns sum to one.
     lengths_mm : (electrodes,) ∞ for points, which have no contact impedance.
-    nodes : for each electrode, the (b,) nodes it touches.
-    masses : for each electrode, ∫ (u − ū)(v − v̄) ds over those nodes, (b, b) [mm]; zero for points.
+    nodes : nodes (b,) that each electrode touches.
+    masses : matrix (b, b) of each electrode, ∫ (u − ū)(v − v̄) ds over those nodes [mm]; zero for points.
     """
 
     means: Array
@@ -216,24 +216,24 @@ class Contacts:
 def edge_contacts(elements: FiniteElements) -> Contacts:
     """Electrodes along the mesh's electrode edges; NumericsError for one without edges, or edges without element."""
     electrodes = elements.mesh.electrode_edges
-    bare = [k for k, edges in enumerate(electrodes) if not len(edges)]
-    if bare or not electrodes:
+    edgeless = [k for k, edges in enumerate(electrodes) if not len(edges)]
+    if edgeless or not electrodes:
         raise NumericsError(
-            f"the mesh carries {len(electrodes) - len(bare)} electrodes with edges",
-            remedy=f"give edges to electrode {bare[0]}" if bare else "use a mesh that carries electrodes",
+            f"the mesh carries {len(electrodes) - len(edgeless)} electrodes with edges",
+            remedy=f"give edges to electrode {edgeless[0]}" if edgeless else "use a mesh that carries electrodes",
         )
     means = np.zeros((elements.count, len(electrodes)))
     lengths, nodes, masses = np.zeros(len(electrodes)), [], []
     for number, edges in enumerate(electrodes):
-        touched, local = np.unique(elements.along(edges), return_inverse=True)
+        touched_nodes, local = np.unique(elements.along(edges), return_inverse=True)
         local = local.reshape(len(edges), -1)
-        mass = np.zeros((len(touched), len(touched)))
+        mass = np.zeros((len(touched_nodes), len(touched_nodes)))
         np.add.at(mass, (local[:, :, None], local[:, None, :]), elements.edge_masses(edges))
-        share = mass.sum(axis=1)
-        lengths[number] = share.sum()
-        means[touched, number] = share / lengths[number]
-        nodes.append(touched.astype(np.int64))
-        masses.append(mass - np.outer(share, share) / lengths[number])
+        node_lengths = mass.sum(axis=1)
+        lengths[number] = node_lengths.sum()
+        means[touched_nodes, number] = node_lengths / lengths[number]
+        nodes.append(touched_nodes.astype(np.int64))
+        masses.append(mass - np.outer(node_lengths, node_lengths) / lengths[number])
     return Contacts(means, lengths, tuple(nodes), tuple(masses))
 
 

@@ -29,8 +29,8 @@ class ForwardModel:
     conductance : (e,) sheet conductance γ [S], positive; or (e, q, 2, 2), positive definite, by direction and
         integration point (1 for the first order, 3 for the second).
     contact_impedance : (electrodes,) z [Ω·mm], positive.
-    order : of the elements, 1 or 2.
-    prepared : of another model on the same mesh, in place of ``order``.
+    order : order of the elements, 1 or 2.
+    prepared : prepared sheet of another model on the same mesh, in place of ``order``.
 
     Raises
     ------
@@ -148,18 +148,18 @@ class ForwardModel:
         ∂V_kl/∂γ_e = −∫_e ∇u_k·∇u_l with u_k the field of the drive and u_l of a unit current through the measured
         pair (Lionheart 2004).
         """
-        driven, measured = self._pair_fields
+        driven_fields, measured_fields = self._pair_fields
         jacobian = np.empty((*self.pattern.shape, len(self.mesh.elements)))
-        for rows, field in zip(jacobian, driven, strict=True):
-            np.einsum("ie,mie->me", field, measured, out=rows)
+        for rows, field in zip(jacobian, driven_fields, strict=True):
+            np.einsum("ie,mie->me", field, measured_fields, out=rows)
         return np.negative(jacobian, out=jacobian)
 
     def jacobian_rows(self, drive: Indices, measure: Indices) -> Array:
         """Rows (m, e) of :meth:`jacobian` for given drive and measure pairs (m,) [V/A per S]."""
-        driven, measured = self._pair_fields
+        driven_fields, measured_fields = self._pair_fields
         rows = np.empty((len(drive), len(self.mesh.elements)))
         for row, k, m in zip(rows, drive, measure, strict=True):
-            np.einsum("ie,ie->e", driven[k], measured[m], out=row)
+            np.einsum("ie,ie->e", driven_fields[k], measured_fields[m], out=row)
         return np.negative(rows, out=rows)
 
     def contact_jacobian(self) -> Array:
@@ -219,12 +219,12 @@ class ForwardModel:
     def _fields_against(self, nodes: Indices, others: Indices) -> Array:
         """Differences of :attr:`electrode_fields` between nodes, accurate relative to their size: (…, electrodes)."""
         place = self.prepared.place
-        here, there = place[nodes], place[others]
+        rows, other_rows = place[nodes], place[others]
         fields, error = self._ordered
-        rest = fields[here] - fields[there]
+        differences = fields[rows] - fields[other_rows]
         if error is not None:
-            rest += error[here] - error[there]
-        return np.concatenate([-rest.sum(axis=-1, keepdims=True), rest], axis=-1)
+            differences += error[rows] - error[other_rows]
+        return np.concatenate([-differences.sum(axis=-1, keepdims=True), differences], axis=-1)
 
     @cached_property
     def _ordered(self) -> tuple[Array, Array | None]:

@@ -48,16 +48,16 @@ def refine(
         If corrections do not shrink: the factors have no accurate digit.
     """
     high, low = potentials - potentials[ground], np.zeros_like(potentials)
-    left = np.inf
+    change_share = np.inf
     for _ in range(_MOST_STEPS):
         correction = solve(load - _out_of(conductors, high, low))
         correction -= correction[ground]
-        high, lost = _sum(high, correction)
-        high, low = _sum(high, low + lost)
-        before, left = left, _share(correction, high)
-        if left <= _DONE or left > _SHRINKS * before:
+        high, rounding_error = _sum(high, correction)
+        high, low = _sum(high, low + rounding_error)
+        previous_share, change_share = change_share, _share(correction, high)
+        if change_share <= _DONE or change_share > _SHRINKS * previous_share:
             break
-    if not left <= _LOST:
+    if not change_share <= _LOST:
         raise NumericsError(
             "the sheet's potentials cannot be refined: conductances and contact impedances span too wide a range",
             remedy="bring conductances and contact impedances closer to each other",
@@ -68,9 +68,9 @@ def refine(
 def _out_of(conductors: sparse.csc_matrix, high: Array, low: Array) -> Array:
     """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
     row, counts = conductors.indices, np.diff(conductors.indptr)
-    difference, lost = _sum(high[row], -np.repeat(high, counts, axis=0))
-    lost += low[row] - np.repeat(low, counts, axis=0)
-    flow = conductors.data[:, None] * (difference + lost)
+    difference, rounding_error = _sum(high[row], -np.repeat(high, counts, axis=0))
+    rounding_error += low[row] - np.repeat(low, counts, axis=0)
+    flow = conductors.data[:, None] * (difference + rounding_error)
     return np.asarray(np.add.reduceat(flow, conductors.indptr[:-1], axis=0), dtype=np.float64)
 
 
@@ -111,8 +111,8 @@ class PreparedSheet:
         self.contacts = contacts
         rows, columns, owner, values = _entries(elements, contacts)
         sources = len(elements.cells) + len(contacts.nodes)
-        held = elements.cells[0, 0]  # arbitrary values: only the pattern of entries matters
-        places = np.append(rows, held), np.append(columns, held)
+        fixed_node = elements.cells[0, 0]  # arbitrary values: only the pattern of entries matters
+        places = np.append(rows, fixed_node), np.append(columns, fixed_node)
         matrix = sparse.csc_matrix((np.append(values, 1.0), places), shape=(elements.count,) * 2)
         #: place of each node in the order of elimination, (n,)
         self.place: Indices = splu(matrix, permc_spec="MMD_AT_PLUS_A", **_SYMMETRIC).perm_c.astype(np.int64)
@@ -138,9 +138,9 @@ class PreparedSheet:
         cells = self.elements.cells
         touching = []
         for nodes in self.contacts.nodes:
-            own = np.zeros(self.elements.count, dtype=np.bool_)
-            own[nodes] = True
-            touching.append(np.flatnonzero(own[cells].any(axis=1)))
+            is_touched = np.zeros(self.elements.count, dtype=np.bool_)
+            is_touched[nodes] = True
+            touching.append(np.flatnonzero(is_touched[cells].any(axis=1)))
         return tuple(touching)
 
     def factorise(self, conductance: Array, contact_impedance: Array) -> "Factors":
@@ -148,8 +148,8 @@ class PreparedSheet:
         even, uneven = _split(conductance)
         values = self._scale @ np.concatenate([even, 1 / contact_impedance])
         if uneven.size:
-            rest = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
-            change = self.elements.directional_stiffness(uneven, rest)
+            directional = conductance[uneven] - even[uneven, None, None, None] * np.eye(2)
+            change = self.elements.directional_stiffness(uneven, directional)
             values += np.bincount(self._slot[uneven].ravel(), change.ravel(), minlength=len(values))
         shape = (self.elements.count,) * 2
         conductors = sparse.csc_matrix((values.copy(), self._row, self._start), shape=shape)
@@ -166,7 +166,7 @@ class Factors:
 
     Parameters
     ----------
-    factors : in the order of elimination, with one node fixed.
+    factors : LU factors in the order of elimination, with one node fixed.
     place : (n,) each node's place in that order.
     conductors : the matrix without the term that fixes the node.
     ground : place of the fixed node. held_by : conductance that fixes it [S].

@@ -14,13 +14,13 @@ import numpy as np
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
-#: z γ/|E| of an electrode with the conductance next to it.
+#: Allowed range of z γ/|E| of an electrode with the conductance next to it.
 CONTACT_RANGE: Final = (1e-9, 1e9)
 #: The same with the smallest and the largest conductance of the sheet, which may lie in the current's path.
 FAR_CONTACT_RANGE: Final = (1e-10, 1e10)
-#: Largest over smallest conductance.
+#: Largest allowed ratio of the largest to the smallest conductance.
 MOST_CONTRAST: Final = 1e8
-#: Above this ratio of conductances, including contacts, potentials are refined.
+#: Ratio of conductances, including contacts, above which potentials are refined.
 REFINED_ABOVE: Final = 1e2
 #: Relative rounding error of readings and sensitivities that are not refined, per ratio of conductances.
 UNREFINED_ERROR: Final = 1.5e-14
@@ -42,9 +42,9 @@ def least_and_most(conductance: Array) -> tuple[Array, Array]:
     if conductance.ndim == 1:
         return conductance, conductance
     xx, xy, yy = conductance[..., 0, 0], conductance[..., 0, 1], conductance[..., 1, 1]
-    most = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
-    least = (xx * yy - xy * xy) / most  # the determinant is the product of both
-    return least.min(axis=1), most.max(axis=1)
+    largest = (xx + yy) / 2 + np.hypot((xx - yy) / 2, xy)
+    smallest = (xx * yy - xy * xy) / largest  # the determinant is the product of both
+    return smallest.min(axis=1), largest.max(axis=1)
 
 
 def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside: tuple[Indices, ...]) -> bool:
@@ -67,37 +67,40 @@ def check_range(conductance: Array, impedance: Array, lengths_mm: Array, beside:
         Conductances further apart than :data:`MOST_CONTRAST`, naming the two elements; or a contact out of
         :data:`CONTACT_RANGE`, naming the first electrode, its ratio z γ/|E| and what is allowed.
     """
-    least, most = least_and_most(conductance)
-    low, high = int(least.argmin()), int(most.argmax())
-    if most[high] / MOST_CONTRAST > least[low] * _ROUNDING:
+    least, largest = least_and_most(conductance)
+    low, high = int(least.argmin()), int(largest.argmax())
+    if largest[high] / MOST_CONTRAST > least[low] * _ROUNDING:
         raise ValueRangeError(
-            f"conductance {high} is {most[high]:g} S and conductance {low} is {least[low]:g} S, a contrast above"
+            f"conductance {high} is {largest[high]:g} S and conductance {low} is {least[low]:g} S, a contrast above"
             f" {MOST_CONTRAST:g}: rounding would decide the readings",
             remedy=f"bring conductances to within a factor of {MOST_CONTRAST:g} of each other",
         )
-    best, worst = most.max(), least.min()
+    best, worst = largest.max(), least.min()
     if np.isinf(lengths_mm).any():
         return bool(best > REFINED_ABOVE * worst)
     length = impedance / lengths_mm
-    near = np.array([least[of].min() for of in beside]), np.array([most[of].max() for of in beside])
-    for where, (lowest, highest), allowed in (
-        ("the conductance next to it", near, CONTACT_RANGE),
+    neighbour_extremes = (
+        np.array([least[neighbours].min() for neighbours in beside]),
+        np.array([largest[neighbours].max() for neighbours in beside]),
+    )
+    for conductance_name, (lowest, highest), allowed in (
+        ("the conductance next to it", neighbour_extremes, CONTACT_RANGE),
         ("the sheet's smallest or largest conductance", (worst, best), FAR_CONTACT_RANGE),
     ):
-        _check_ratios(length * lowest, length * highest, impedance, where, allowed)
+        _check_ratios(length * lowest, length * highest, impedance, conductance_name, allowed)
     return bool(max(best, (lengths_mm / impedance).max()) > REFINED_ABOVE * worst)
 
 
 def _check_ratios(low: Array, high: Array, impedance: Array, where: str, allowed: tuple[float, float]) -> None:
-    wrong = np.flatnonzero((low < allowed[0]) | (high > allowed[1]))
-    if wrong.size:
-        first = wrong[0]
-        good = low[first] < allowed[0]
+    bad = np.flatnonzero((low < allowed[0]) | (high > allowed[1]))
+    if bad.size:
+        k = bad[0]
+        too_low = low[k] < allowed[0]
         raise ValueRangeError(
-            f"contact impedance {first} is {impedance[first]:g} Ω·mm, {(low if good else high)[first]:.3g} of the"
-            f" electrode's length over {where} (z γ/|E|; one of {wrong.size} such); {allowed[0]:g} to {allowed[1]:g}"
+            f"contact impedance {k} is {impedance[k]:g} Ω·mm, {(low if too_low else high)[k]:.3g} of the"
+            f" electrode's length over {where} (z γ/|E|; one of {bad.size} such); {allowed[0]:g} to {allowed[1]:g}"
             " are allowed: outside this range rounding would decide the readings",
-            remedy=f"{'raise' if good else 'lower'} it; readings that touch no driven electrode hardly change",
+            remedy=f"{'raise' if too_low else 'lower'} it; readings that touch no driven electrode hardly change",
         )
 
 
@@ -122,11 +125,11 @@ def check_values(name: str, values: Array, shape: tuple[int, ...]) -> Array:
             f"{name} has shape {values.shape}; one value for each of {shape[0]} is needed",
             remedy=f"give an array of shape {shape}",
         )
-    wrong = np.flatnonzero(~conducts(values))
-    if wrong.size:
+    bad_indices = np.flatnonzero(~conducts(values))
+    if bad_indices.size:
         direction = ", in every direction" if values.ndim > 1 else ""
         raise NumericsError(
-            f"{name} {wrong[0]} is {values[wrong[0]].tolist()} (one of {wrong.size} such);"
+            f"{name} {bad_indices[0]} is {values[bad_indices[0]].tolist()} (one of {bad_indices.size} such);"
             f" it must be a positive finite number{direction}",
             remedy=_NOTHING.get(name, ""),
         )

@@ -19,7 +19,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.priors import Prior
 
-#: Of the dual system, or of its root if that is decomposed: ten digits are lost.
+#: Largest condition number of the dual system, or of its root if that is decomposed: ten digits are lost.
 _MOST_CONDITION: Final = 1e10
 _LARGEST: Final = 1e50  # of λ: its square, and that of an image, remain representable
 _UNSEEN: Final = 1e-12  # of the largest possible signal in the readings
@@ -31,7 +31,7 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     Parameters
     ----------
     jacobian : (m, e).
-    prior : of the image; an array is the diagonal of R, (e,) positive.
+    prior : prior of the image; an array is the diagonal of R, (e,) positive.
     hyperparameter : λ.
     variance : (m,) diagonal of W⁻¹, None for ones.
 
@@ -59,7 +59,7 @@ class DualSpectrum:
     basis : (e, k + f) image of each eigenvector; the last f span what R leaves free (none if R is regular).
     values : (k,) eigenvalues, rising, not negative.
     analysis : (k + f, m) from readings to eigenvectors; rows have unit variance and no covariance under the noise.
-    most_condition : of Λ + λ², beyond which rounding dominates the solution.
+    most_condition : condition number of Λ + λ² beyond which rounding dominates the solution.
     """
 
     basis: Array
@@ -118,15 +118,15 @@ class _System:
         root = np.ones(count) if variance is None else 1 / np.sqrt(variance)
         white = jacobian if variance is None else root[:, None] * jacobian
         if prior.free is None:
-            nothing = np.zeros((jacobian.shape[1], 0)), np.zeros((0, count))
-            return cls._regular(white, prior, np.diag(root), *nothing)
-        seen = white @ prior.free
-        if np.linalg.norm(seen, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
+            empty_parts = np.zeros((jacobian.shape[1], 0)), np.zeros((0, count))
+            return cls._regular(white, prior, np.diag(root), *empty_parts)
+        response = white @ prior.free
+        if np.linalg.norm(response, axis=0).min() <= _UNSEEN * np.linalg.norm(white) * np.linalg.norm(prior.free):
             raise NumericsError(
                 "the readings do not respond to the image component that the prior leaves free",
                 remedy="repair the masked channels, or use a prior of full rank (gauss-newton-noser)",
             )
-        return cls._eliminate_free(white, prior, seen, prior.free, root)
+        return cls._eliminate_free(white, prior, response, prior.free, root)
 
     def normal(self) -> Array:
         return self.white @ self.back
@@ -151,17 +151,17 @@ class _System:
     @classmethod
     def _regular(cls, white: Array, prior: Prior, analysis: Array, free: Array, free_analysis: Array) -> "_System":
         columns = white.T
-        half = None if prior.half is None else prior.half(columns)
-        return cls(white, prior.covariance(columns), half, analysis, free, free_analysis)
+        half_columns = None if prior.half is None else prior.half(columns)
+        return cls(white, prior.covariance(columns), half_columns, analysis, free, free_analysis)
 
     @classmethod
     def _eliminate_free(cls, white: Array, prior: Prior, seen: Array, free: Array, root: Array) -> "_System":
         complete, triangle = linalg.qr(seen)
         width = free.shape[1]
         triangle = triangle[:width]
-        explained, rest = complete[:, :width], complete[:, width:]
+        explained, complement = complete[:, :width], complete[:, width:]
         free = linalg.solve_triangular(triangle, free.T, trans="T").T  # so that its coefficients are Q₁ᵀ of readings
-        system = cls._regular(rest.T @ white, prior, rest.T * root, free, explained.T * root)
+        system = cls._regular(complement.T @ white, prior, complement.T * root, free, explained.T * root)
         back = system.back - free @ (explained.T @ (white @ system.back))
         return replace(system, back=back)
 

@@ -41,7 +41,7 @@ def noise_figure(
     matrix : (e, m) R.
     signal : (m,) y of a small central target.
     areas : (e,) weights A of the image, in any unit.
-    noise_variance : (m,) of the readings, for the 2009 form only; None for equal noise on every channel.
+    noise_variance : (m,) variance of the readings, for the 2009 form only; None for equal noise on every channel.
     form : 2009: (mean|y| / √mean v) / (mean|A R y| / √(Σ(A R)² v / e)).
         EIDORS: noise on one channel c at a time, deviations with the mean removed over channels or elements and
         ddof 1, (mean|y| / mean_c std(n_c)) / (mean|A R y| / mean_c std(A R n_c)).
@@ -72,12 +72,12 @@ def noise_figure(
     return level / float(np.sqrt(variance.mean())) * float(noise) / response
 
 
-#: Radius of the central target, of the sheet's: the 13 mm indenter on the 100 mm disc.
+#: Radius of the central target over the sheet's: the 13 mm indenter on the 100 mm disc.
 TARGET_RADIUS: Final = 0.13
-#: Its contrast for a noise figure, within the linear response.
+#: Contrast of that target for a noise figure, within the linear response.
 SMALL_CONTRAST: Final = 0.01
 
-#: Without measurements: a press as deep as the paper's, the noise of a good instrument [dB].
+#: Simulated evidence: contrast of a press as deep as the paper's, and noise of a good instrument [dB].
 CONTRAST: Final = 0.2
 NOISE_DB: Final = 60
 _FRAMES: Final = 32
@@ -93,7 +93,7 @@ class Evidence:
     Parameters
     ----------
     changes : (n, m) float64, scaled as the problem's reference.
-    variance : of a reading of unit relative variance; None if unknown.
+    variance : variance of a reading of unit relative variance; None if unknown.
     words : description of them.
     """
 
@@ -154,11 +154,11 @@ def simulate_evidence(problem: ImagingProblem, draws: int, frames: int) -> Evide
     deviation = 10 ** (-NOISE_DB / 20) * float(np.abs(problem.reference).mean())
     relative = np.ones(len(problem.reference)) if problem.noise_variance is None else problem.noise_variance
     noise = np.random.default_rng(SEED).standard_normal((draws, len(relative))) * np.sqrt(relative)
-    words = (
+    description = (
         f"{frames} simulated frames (seed {SEED}) of a central target of {2 * target_radius_mm(problem):.3g} mm and"
         f" {CONTRAST:.0%} contrast, noise {NOISE_DB} dB below the mean reading"
     )
-    return Evidence(central_signal(problem, CONTRAST) + deviation * noise, deviation**2, words)
+    return Evidence(central_signal(problem, CONTRAST) + deviation * noise, deviation**2, description)
 
 
 _LOWEST, _HIGHEST = 1e-6, 1e3  # λ searched, relative to the root of the largest eigenvalue
@@ -174,14 +174,14 @@ def noise_figure_of(
     """
     basis = areas[:, None] * spectrum.basis
     energy = (basis**2).sum(axis=0)
-    seen = spectrum.analysis @ signal
+    coefficients = spectrum.analysis @ signal
     variance = np.ones(len(signal)) if noise_variance is None else noise_variance
     snr = float(np.abs(signal).mean() / np.sqrt(variance.mean()))
 
     def figure(hyperparameter: float) -> float:
         gain = spectrum.gains(hyperparameter)
         noise = np.sqrt((energy * gain**2).sum() / len(areas))
-        return snr * float(noise / np.abs(basis @ (gain * seen)).mean())
+        return snr * float(noise / np.abs(basis @ (gain * coefficients)).mean())
 
     return figure
 
@@ -195,16 +195,16 @@ def hyperparameter_for(
     """
     figure = noise_figure_of(spectrum, signal, areas, noise_variance)
     grid = np.log(search_grid(spectrum))
-    reached = np.array([figure(float(np.exp(at))) for at in grid])
-    if not (np.isfinite(target) and reached.min() <= target <= reached.max()):
+    reached_figures = np.array([figure(float(np.exp(at))) for at in grid])
+    if not (np.isfinite(target) and reached_figures.min() <= target <= reached_figures.max()):
         raise NumericsError(
             f"noise figure {target} cannot be reached;"
-            f" this sensor type allows {reached.min():.3g} to {reached.max():.3g}",
+            f" this sensor type allows {reached_figures.min():.3g} to {reached_figures.max():.3g}",
             remedy="give a noise figure in that range, or the hyperparameter itself",
         )
     # The noise figure falls with λ apart from wiggles at the ends; the largest λ that reaches the target is
     # smoothest.
-    last = np.flatnonzero((reached[:-1] >= target) & (target >= reached[1:]))[-1]
+    last = np.flatnonzero((reached_figures[:-1] >= target) & (target >= reached_figures[1:]))[-1]
     root = brentq(lambda at: np.log(figure(float(np.exp(at))) / target), grid[last], grid[last + 1], xtol=1e-12)
     return round_figure(float(np.exp(root)))
 

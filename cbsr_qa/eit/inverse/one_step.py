@@ -50,7 +50,7 @@ def ridge_reconstruction(
     ----------
     method : name of the plugin.
     prior_of : makes the prior of a problem's image.
-    regularisation : how λ is chosen.
+    regularisation : choice of λ.
 
     Returns
     -------
@@ -61,15 +61,15 @@ def ridge_reconstruction(
     NumericsError
         If λ is out of range, cannot be chosen or is too small to determine the image, or the prior cannot be made.
     """
-    own = RidgeSearch(problem, prior_of(problem))
+    search = RidgeSearch(problem, prior_of(problem))
     value, how, curve = regularisation.choose(
-        problem, lambda base: own if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
+        problem, lambda base: search if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
     )
-    matrix = own.spectrum.check_and_form_matrix(value)
+    matrix = search.spectrum.check_and_form_matrix(value)
     areas, variance = problem.mesh.areas_mm2, problem.noise_variance
     figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
     choice = ParameterChoice(value, how, figure, curve=curve, criterion=regularisation.decided_by)
-    return LinearReconstruction(method, problem, matrix, choice), own.spectrum
+    return LinearReconstruction(method, problem, matrix, choice), search.spectrum
 
 
 def _same_system(one: ImagingProblem, other: ImagingProblem) -> bool:
@@ -144,7 +144,7 @@ class RidgeCurves:
     Parameters
     ----------
     values : (k,) eigenvalues Λ, not negative.
-    coefficients : (n, k) of n frames of readings, in units of their noise up to a common factor.
+    coefficients : (n, k) coefficients of n frames of readings, in units of their noise up to a common factor.
 
     Raises
     ------
@@ -167,8 +167,8 @@ class RidgeCurves:
 
     def residual(self, s: Array | float) -> Array:
         """Weighted squared residual of all frames."""
-        gone = self._remaining_share(s)
-        return np.asarray(gone**2 @ self._energy)
+        remaining_share = self._remaining_share(s)
+        return np.asarray(remaining_share**2 @ self._energy)
 
     def size(self, s: Array | float) -> Array:
         """xᵀRx of all frames."""
@@ -208,22 +208,22 @@ class RidgeCurves:
 
 def choose_by_cross_validation(curves: RidgeCurves) -> float:
     """λ of the lowest GCV function; NumericsError if it has no minimum in the range searched."""
-    where = int(np.argmin(curves.cross_validation(curves.grid)))
+    minimum = int(np.argmin(curves.cross_validation(curves.grid)))
     return _refine_minimum(
-        curves, where, lambda s: float(np.log(curves.cross_validation(s))), "generalised cross-validation"
+        curves, minimum, lambda s: float(np.log(curves.cross_validation(s))), "generalised cross-validation"
     )
 
 
 def choose_by_l_curve(curves: RidgeCurves) -> float:
     """λ of the sharpest corner of the L-curve; NumericsError if it has none in the range searched."""
-    bend = curves.curvature(curves.grid)
+    curvature = curves.curvature(curves.grid)
     # At both ends one of the two logarithms is constant and the quotient is rounding.
-    steep = np.abs(np.gradient(np.log(curves.residual(curves.grid)), curves.grid)) > _STILL
-    bend = np.where(steep & np.isfinite(bend), bend, -np.inf)
-    where = int(np.argmax(bend))
-    if not bend[where] > 0:
+    is_steep = np.abs(np.gradient(np.log(curves.residual(curves.grid)), curves.grid)) > _STILL
+    curvature = np.where(is_steep & np.isfinite(curvature), curvature, -np.inf)
+    corner = int(np.argmax(curvature))
+    if not curvature[corner] > 0:
         raise NumericsError(f"the L-curve has no corner {_range(curves)}", remedy=_REMEDY)
-    return _refine_minimum(curves, where, lambda s: -float(curves.curvature(s)), "the L-curve")
+    return _refine_minimum(curves, corner, lambda s: -float(curves.curvature(s)), "the L-curve")
 
 
 def choose_by_discrepancy(curves: RidgeCurves, level: float) -> float:
@@ -233,9 +233,9 @@ def choose_by_discrepancy(curves: RidgeCurves, level: float) -> float:
     """
     low, high = (float(curves.residual(end)) for end in (curves.grid[0], curves.grid[-1]))
     if not low < level < high:
-        what = "the readings do not exceed their noise" if level >= high else "there is almost no noise"
+        reason = "the readings do not exceed their noise" if level >= high else "there is almost no noise"
         raise NumericsError(
-            f"the discrepancy principle has no answer {_range(curves)}: {what} (residual {np.sqrt(low):.3g} to"
+            f"the discrepancy principle has no answer {_range(curves)}: {reason} (residual {np.sqrt(low):.3g} to"
             f" {np.sqrt(high):.3g}, noise {np.sqrt(max(level, 0.0)):.3g})",
             remedy=_REMEDY,
         )

@@ -20,8 +20,8 @@ class Pieces:
     Parameters
     ----------
     fine, coarse : (p,) int64, the elements.
-    areas_mm2 : (p,) of the overlaps.
-    centroids_mm : (p, 2) of the same.
+    areas_mm2 : (p,) areas of the overlaps.
+    centroids_mm : (p, 2) centroids of the overlaps.
     """
 
     fine: Indices
@@ -36,19 +36,27 @@ def overlap_pieces(fine: Mesh, coarse: Mesh) -> Pieces:
     The part of a fine element outside the coarse mesh (slivers between two polygons of the same circle) is
     distributed in proportion to its parts inside, or assigned to the nearest coarse element without any.
     """
-    first, second = _candidates(fine, coarse)
-    area, centroids = _intersections(fine.corners_mm[first], coarse.corners_mm[second])
+    fine_element, coarse_element = _candidates(fine, coarse)
+    area, centroids = _intersections(fine.corners_mm[fine_element], coarse.corners_mm[coarse_element])
     keep = area > _SLIVER * fine.areas_mm2.mean()
-    first, second, area, centroids = first[keep], second[keep], area[keep], centroids[keep]
-    inside = np.bincount(first, area, minlength=len(fine.elements))
-    lost = np.flatnonzero(inside <= 0)
-    if lost.size:
-        nearest = cKDTree(coarse.centroids_mm).query(fine.centroids_mm[lost])[1]
-        first, second = np.concatenate([first, lost]), np.concatenate([second, nearest])
-        area = np.concatenate([area, fine.areas_mm2[lost]])
-        centroids = np.vstack([centroids, fine.centroids_mm[lost]])
-        inside[lost] = fine.areas_mm2[lost]
-    return Pieces(first, second, area * (fine.areas_mm2 / inside)[first], centroids)
+    fine_element, coarse_element, area, centroids = (
+        fine_element[keep],
+        coarse_element[keep],
+        area[keep],
+        centroids[keep],
+    )
+    covered_area = np.bincount(fine_element, area, minlength=len(fine.elements))
+    uncovered = np.flatnonzero(covered_area <= 0)
+    if uncovered.size:
+        nearest = cKDTree(coarse.centroids_mm).query(fine.centroids_mm[uncovered])[1]
+        fine_element, coarse_element = (
+            np.concatenate([fine_element, uncovered]),
+            np.concatenate([coarse_element, nearest]),
+        )
+        area = np.concatenate([area, fine.areas_mm2[uncovered]])
+        centroids = np.vstack([centroids, fine.centroids_mm[uncovered]])
+        covered_area[uncovered] = fine.areas_mm2[uncovered]
+    return Pieces(fine_element, coarse_element, area * (fine.areas_mm2 / covered_area)[fine_element], centroids)
 
 
 def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
@@ -66,14 +74,14 @@ def overlap_fractions(fine: Mesh, coarse: Mesh) -> sparse.csr_matrix:
 def _candidates(fine: Mesh, coarse: Mesh) -> tuple[Indices, Indices]:
     """Pairs of elements whose bounding circles meet."""
     reach = [reaches_mm(mesh) for mesh in (fine, coarse)]
-    near = cKDTree(coarse.centroids_mm).query_ball_point(
+    elements_near = cKDTree(coarse.centroids_mm).query_ball_point(
         fine.centroids_mm, reach[0] + reach[1].max(), return_sorted=True
     )
-    first = np.repeat(np.arange(len(near)), [len(elements) for elements in near])
-    second = np.concatenate([np.asarray(elements, dtype=np.int64) for elements in near])
-    apart = np.hypot(*(fine.centroids_mm[first] - coarse.centroids_mm[second]).T)
-    meet = apart < reach[0][first] + reach[1][second]
-    return first[meet], second[meet]
+    fine_element = np.repeat(np.arange(len(elements_near)), [len(elements) for elements in elements_near])
+    coarse_element = np.concatenate([np.asarray(elements, dtype=np.int64) for elements in elements_near])
+    distance_mm = np.hypot(*(fine.centroids_mm[fine_element] - coarse.centroids_mm[coarse_element]).T)
+    meet = distance_mm < reach[0][fine_element] + reach[1][coarse_element]
+    return fine_element[meet], coarse_element[meet]
 
 
 def _intersections(first: Array, second: Array) -> tuple[Array, Array]:
@@ -99,9 +107,9 @@ def _clip(polygon: Array, start: Array, along: Array) -> Array:
     """Cut convex polygons (p, k, 2) left of a line: (p, k + 1, 2), where spare corners repeat the last."""
     relative = polygon - start[:, None]
     height = along[:, None, 0] * relative[..., 1] - along[:, None, 1] * relative[..., 0]
-    following, after = np.roll(polygon, -1, axis=1), np.roll(height, -1, axis=1)
-    crosses = (height >= 0) != (after >= 0)
-    share = np.where(crosses, height / np.where(crosses, height - after, 1), 0)
+    following, next_height = np.roll(polygon, -1, axis=1), np.roll(height, -1, axis=1)
+    crosses = (height >= 0) != (next_height >= 0)
+    share = np.where(crosses, height / np.where(crosses, height - next_height, 1), 0)
     crossing = polygon + share[..., None] * (following - polygon)
     pairs, corners = height.shape
     slots = np.stack([polygon, crossing], axis=2).reshape(pairs, 2 * corners, 2)

@@ -33,7 +33,7 @@ class PixelImaging:
     ----------
     pixels : on each side.
     pitch_mm : width of a pixel.
-    first_mm : (x, y) of the centre of pixel [0, 0]; rows rise with y, columns with x.
+    first_mm : place (x, y) of the centre of pixel [0, 0]; rows rise with y, columns with x.
     places : (p,) pixels that cover some of the sheet, in C order; all others are zero.
     matrix : (pixels², g) float32, from folded readings.
     inner : (p, g) its non-zero rows, which suffice for one frame and fit a core's cache.
@@ -57,9 +57,9 @@ class PixelImaging:
     @property
     def inside(self) -> Mask:
         """Pixels that cover some of the sheet, (pixels, pixels)."""
-        inside = np.zeros(self.pixels * self.pixels, dtype=np.bool_)
-        inside[self.places] = True
-        return inside.reshape(self.pixels, self.pixels)
+        is_inside = np.zeros(self.pixels * self.pixels, dtype=np.bool_)
+        is_inside[self.places] = True
+        return is_inside.reshape(self.pixels, self.pixels)
 
     def image(self, changes: Array) -> Pixels:
         """Image one frame of scaled changes (m,): (pixels, pixels) float32, relative conductance change.
@@ -77,8 +77,8 @@ class PixelImaging:
         return image.reshape(self.pixels, self.pixels)
 
     def _unfit(self, changes: Array) -> RefusedError:
-        given = f"readings of shape {changes.shape} and type {changes.dtype}"
-        return RefusedError(f"{given} do not match {self.readings} used channels of real numbers")
+        description = f"readings of shape {changes.shape} and type {changes.dtype}"
+        return RefusedError(f"{description} do not match {self.readings} used channels of real numbers")
 
     def images(self, changes: Array) -> Pixels:
         """Image n frames (n, m), as in :meth:`image`: (n, pixels, pixels)."""
@@ -100,18 +100,18 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
     corner = np.array([(low_x + high_x) / 2, (low_y + high_y) / 2]) - pitch * pixels / 2
     shares = _shares(problem.mesh, corner, pitch, pixels)
     places = np.flatnonzero(np.diff(shares.indptr))
-    whole = np.asarray(shares @ reconstruction.matrix)
-    one, other, ratio = _pairs(whole, ReadingFold.from_problem(problem).group)
+    pixel_matrix = np.asarray(shares @ reconstruction.matrix)
+    first_readings, second_readings, ratio = _pairs(pixel_matrix, ReadingFold.from_problem(problem).group)
     x, y = (corner + pitch / 2).tolist()
     return PixelImaging(
         pixels,
         float(pitch),
         (x, y),
         places.astype(np.int64),
-        np.ascontiguousarray(whole[:, one], dtype=np.float32),
-        np.ascontiguousarray(whole[places][:, one], dtype=np.float32),
-        one,
-        other,
+        np.ascontiguousarray(pixel_matrix[:, first_readings], dtype=np.float32),
+        np.ascontiguousarray(pixel_matrix[places][:, first_readings], dtype=np.float32),
+        first_readings,
+        second_readings,
         None if (ratio == 1).all() else ratio,
         len(problem.reference),
     )
@@ -120,7 +120,7 @@ def pixel_imaging(reconstruction: LinearReconstruction, pixels: int = 32) -> Pix
 def _shares(mesh: Mesh, corner: Array, pitch: float, pixels: int) -> sparse.csr_matrix:
     """Share of each element in the mean over each pixel's part of the sheet, (pixels², e); rows sum to 1 or 0."""
     lines = corner + pitch * np.arange(pixels + 1)[:, None]
-    nodes = np.column_stack([each.ravel() for each in np.meshgrid(lines[:, 0], lines[:, 1])])
+    nodes = np.column_stack([coordinate.ravel() for coordinate in np.meshgrid(lines[:, 0], lines[:, 1])])
     first = (np.arange(pixels)[:, None] * (pixels + 1) + np.arange(pixels)).ravel()
     lower = np.column_stack([first, first + 1, first + pixels + 2])
     upper = np.column_stack([first, first + pixels + 2, first + pixels + 1])
@@ -133,27 +133,27 @@ def _shares(mesh: Mesh, corner: Array, pitch: float, pixels: int) -> sparse.csr_
 
 def _pairs(matrix: Array, group: Indices) -> tuple[Indices, Indices, Array]:
     """Columns proportional to another in the same group: the first, the second, and their ratio."""
-    one: list[int] = []
-    other: list[int] = []
-    ratio: list[float] = []
-    waiting: dict[int, int] = {}
+    first_readings: list[int] = []
+    second_readings: list[int] = []
+    ratios: list[float] = []
+    place_by_group: dict[int, int] = {}
     for reading, name in enumerate(group.tolist()):
-        place = waiting.pop(name, None)
+        place = place_by_group.pop(name, None)
         if place is None:
-            waiting[name] = len(one)
+            place_by_group[name] = len(first_readings)
         else:
-            first, second = matrix[:, one[place]], matrix[:, reading]
-            size = float(first @ first)
-            scale = float(first @ second) / size if size else 1.0
-            if np.abs(second - scale * first).max() <= _SAME * np.abs(second).max():
+            first_column, second_column = matrix[:, first_readings[place]], matrix[:, reading]
+            size = float(first_column @ first_column)
+            scale = float(first_column @ second_column) / size if size else 1.0
+            if np.abs(second_column - scale * first_column).max() <= _SAME * np.abs(second_column).max():
                 # One, if it equals one within rounding.
-                tidy = 1.0 if abs(scale - 1) <= _SAME else scale
-                other[place], ratio[place] = reading, tidy
+                exact_scale = 1.0 if abs(scale - 1) <= _SAME else scale
+                second_readings[place], ratios[place] = reading, exact_scale
                 continue
-        one.append(reading)
-        other.append(reading)
-        ratio.append(0.0)
-    return np.array(one), np.array(other), np.array(ratio)
+        first_readings.append(reading)
+        second_readings.append(reading)
+        ratios.append(0.0)
+    return np.array(first_readings), np.array(second_readings), np.array(ratios)
 
 
 def _check_finite(changes: Array) -> None:

@@ -95,9 +95,9 @@ def laplace(mesh: Mesh) -> Prior:
     )
 
     def covariance(columns: Array) -> Array:
-        held = np.zeros_like(columns, order="F")
-        held[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
-        return held
+        solution = np.zeros_like(columns, order="F")
+        solution[:-1] = factors.solve(np.asfortranarray(columns[:-1]))
+        return solution
 
     def half(columns: Array) -> Array:
         product: Array = differences @ covariance(columns)
@@ -149,7 +149,7 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
 
     Parameters
     ----------
-    width_mm : at half height [mm], half of an element's edge to ten times the sheet.
+    width_mm : width of the kernel at half height [mm], half of an element's edge to ten times the sheet.
 
     Raises
     ------
@@ -166,10 +166,10 @@ def high_pass(mesh: Mesh, width_mm: float) -> Prior:
     squared = cdist(mesh.centroids_mm, mesh.centroids_mm, "sqeuclidean")
     kernel = np.exp(squared * (-4 * np.log(2) / width_mm**2)) * areas
     sums = kernel.sum(axis=1)
-    left = areas * sums  # wᵀF = 0, as the kernel is symmetric before it is weighted and normalised
-    regular = np.eye(count) - kernel / sums[:, None] + left / left.sum()
+    null_vector = areas * sums  # wᵀF = 0, as the kernel is symmetric before it is weighted and normalised
+    regular = np.eye(count) - kernel / sums[:, None] + null_vector / null_vector.sum()
     factors = linalg.lu_factor(regular, overwrite_a=True, check_finite=False)
-    unit = (left / np.linalg.norm(left))[:, None]
+    unit = (null_vector / np.linalg.norm(null_vector))[:, None]
 
     def half(columns: Array) -> Array:
         product: Array = linalg.lu_solve(factors, columns, trans=1)

@@ -30,16 +30,20 @@ def image_jacobian(model: ForwardModel, mesh: Mesh, drive: Indices, measure: Ind
 
     Parameters
     ----------
-    mesh : of the image, e elements, over the model's sheet.
+    mesh : mesh of the image, e elements, over the model's sheet.
     drive, measure : (m,) numbers of the readings' drive and measure pairs.
     """
     pieces = overlap_pieces(model.mesh, mesh)
     fields = _fields_at(model, pieces)
-    driven, measured = (fields @ pairs for pairs in (model.pattern.drive_currents(), model.pattern.measure_matrix()))
-    driven, measured = (np.ascontiguousarray(each.transpose(2, 1, 0)) for each in (driven, measured))
+    driven_fields, measured_fields = (
+        fields @ pairs for pairs in (model.pattern.drive_currents(), model.pattern.measure_matrix())
+    )
+    driven_fields, measured_fields = (
+        np.ascontiguousarray(pair_fields.transpose(2, 1, 0)) for pair_fields in (driven_fields, measured_fields)
+    )
     products = np.empty((len(drive), len(pieces.areas_mm2)))
     for row, k, m in zip(products, drive, measure, strict=True):
-        np.einsum("xp,xp->p", driven[k], measured[m], out=row)
+        np.einsum("xp,xp->p", driven_fields[k], measured_fields[m], out=row)
     count = len(pieces.areas_mm2)
     gather = sparse.csr_matrix((-pieces.areas_mm2, (pieces.coarse, np.arange(count))), (len(mesh.elements), count))
     return np.ascontiguousarray((gather @ products.T).T)
@@ -54,8 +58,8 @@ def _fields_at(model: ForwardModel, pieces: Pieces) -> Array:
         constant: Array = gradients[pieces.fine, 0]
         return constant
     corners = model.mesh.corners_mm[pieces.fine]
-    along = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
-    inner = np.linalg.solve(along, (pieces.centroids_mm - corners[:, 0])[..., None])[..., 0]
+    edge_vectors = np.stack([corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0]], axis=2)
+    inner = np.linalg.solve(edge_vectors, (pieces.centroids_mm - corners[:, 0])[..., None])[..., 0]
     barycentric = np.column_stack([1 - inner.sum(axis=1), inner])
     weights = barycentric @ np.linalg.inv(points)  # the gradient is linear, and known at three points
     fields: Array = np.einsum("pq,pqxl->pxl", weights, gradients[pieces.fine], optimize=True)
@@ -102,11 +106,11 @@ def imaging_problem(
         finite.
     """
     mesh, jacobian, reference = _nominal(sensor_type, float(image_size_mm))
-    whole = sensor_type.pattern.usable()
-    used = whole if used is None else np.array(used, dtype=np.bool_)
+    is_usable = sensor_type.pattern.usable()
+    used = is_usable if used is None else np.array(used, dtype=np.bool_)
     _check_used(sensor_type.pattern, used)
-    full = ImagingProblem(sensor_type, mesh, jacobian[whole], reference[whole], whole)
-    if noise_variance is None and sample is None and measured is None and np.array_equal(used, whole):
+    full = ImagingProblem(sensor_type, mesh, jacobian[is_usable], reference[is_usable], is_usable)
+    if noise_variance is None and sample is None and measured is None and np.array_equal(used, is_usable):
         return full
     return ImagingProblem(
         sensor_type,
@@ -125,8 +129,8 @@ def imaging_problem(
 
 def find_masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]:
     """Electrodes with usable readings, (drives, measures) bool, none of which is used."""
-    usable, left = (_electrodes_involved(pattern, readings) for readings in (pattern.usable(), used))
-    return tuple(int(electrode) for electrode in np.flatnonzero(usable & ~left))
+    is_usable, is_left = (_electrodes_involved(pattern, readings) for readings in (pattern.usable(), used))
+    return tuple(int(electrode) for electrode in np.flatnonzero(is_usable & ~is_left))
 
 
 @lru_cache(maxsize=8)
@@ -178,11 +182,11 @@ def _nominal(sensor_type: SensorType, image_size_mm: float) -> tuple[Mesh, Array
     model = nominal_model(sensor_type)
     mesh = image_mesh(sensor_type, size_mm=image_size_mm)
     group, sign = sensor_type.pattern.reading_groups()
-    _, first, number = np.unique(group, return_index=True, return_inverse=True)
-    drive, measure = np.unravel_index(first, group.shape)
-    distinct = image_jacobian(model, mesh, drive, measure)
+    _, first_readings, number = np.unique(group, return_index=True, return_inverse=True)
+    drive, measure = np.unravel_index(first_readings, group.shape)
+    distinct_rows = image_jacobian(model, mesh, drive, measure)
     number = number.reshape(group.shape)
-    jacobian = distinct[number] * (sign * sign.ravel()[first][number])[..., None]
+    jacobian = distinct_rows[number] * (sign * sign.ravel()[first_readings][number])[..., None]
     reference = model.voltages()
     jacobian.flags.writeable = reference.flags.writeable = False  # shared by all callers
     return mesh, jacobian, reference
@@ -231,10 +235,10 @@ def _relative_variance(variance: Array, used: Mask) -> Array:
             f"noise variances have shape {variance.shape}; there are {count} used readings",
             remedy=f"give {count} of them, or {used.shape} by drive and measure pair",
         )
-    wrong = np.flatnonzero(~(np.isfinite(variance) & (variance > 0)))
-    if wrong.size:
+    bad = np.flatnonzero(~(np.isfinite(variance) & (variance > 0)))
+    if bad.size:
         raise NumericsError(
-            f"the noise variance of {reading_name(used, wrong[0])} is {variance[wrong[0]]} (one of {wrong.size} such)"
+            f"the noise variance of {reading_name(used, bad[0])} is {variance[bad[0]]} (one of {bad.size} such)"
             "; it must be a positive finite number",
             remedy="leave its channel out (`used`), or give it a variance near the others'",
         )

@@ -37,7 +37,7 @@ class ReadingFold:
     first : (g,) int64, first reading of each group.
     sign : (m,) float64, +1 or −1 relative to the first reading of the group.
     weight : (m,) float64, sign times share in the mean; magnitudes sum to one in each group.
-    variance : (g,) float64 of the means, relative as the problem's.
+    variance : (g,) float64 variance of the means, relative as the problem's.
     """
 
     group: Indices
@@ -49,15 +49,15 @@ class ReadingFold:
     @classmethod
     def from_problem(cls, problem: ImagingProblem) -> Self:
         """Fold a problem's readings; no folding if its own reference contradicts reciprocity."""
-        group, first, sign = _groups(problem.sensor_type.pattern, problem.used)
+        group, first_readings, sign = _groups(problem.sensor_type.pattern, problem.used)
         reference = problem.reference
-        apart = np.abs(reference - sign * reference[first][group])
-        if apart.max(initial=0.0) > _SAME * np.abs(reference).max():
-            group = first = np.arange(len(reference))
+        asymmetry = np.abs(reference - sign * reference[first_readings][group])
+        if asymmetry.max(initial=0.0) > _SAME * np.abs(reference).max():
+            group = first_readings = np.arange(len(reference))
             sign = np.ones(len(reference))
         variance = np.ones(len(reference)) if problem.noise_variance is None else problem.noise_variance
         information = np.bincount(group, 1 / variance)
-        return cls(group, first, sign, sign / variance / information[group], 1 / information)
+        return cls(group, first_readings, sign, sign / variance / information[group], 1 / information)
 
     def rows(self, jacobian: Array) -> Array:
         """Jacobian (g, e) of the folded readings."""
@@ -71,9 +71,9 @@ class ReadingFold:
 
     def unfold(self, matrix: Array) -> Array:
         """Matrix (k, m) for all readings, from one (k, g) for their means."""
-        whole: Array = matrix[:, self.group]
-        whole *= self.weight
-        return whole
+        unfolded: Array = matrix[:, self.group]
+        unfolded *= self.weight
+        return unfolded
 
     def noise(self, readings: Array) -> tuple[float, int]:
         """Mean variance of readings (n, m) for unit relative variance, from the differences of reciprocal ones.
@@ -87,24 +87,24 @@ class ReadingFold:
             return 0.0, 0
         size = np.bincount(self.group)
         informed = np.abs(self.weight) / self.variance[self.group]  # 1/v of every reading
-        left = readings - self.fold(readings)[:, self.group] * self.sign
-        repeated = size[self.group] > 1
-        return float((left[:, repeated] ** 2 @ informed[repeated]).sum() / freedom), freedom
+        residuals = readings - self.fold(readings)[:, self.group] * self.sign
+        is_repeated = size[self.group] > 1
+        return float((residuals[:, is_repeated] ** 2 @ informed[is_repeated]).sum() / freedom), freedom
 
 
 def _groups(pattern: DrivePattern, used: Mask) -> tuple[Indices, Indices, Array]:
     """Group, first reading of each group, and relative sign of every used reading."""
     names, signs = (table[used] for table in pattern.reading_groups())
-    _, at, group = np.unique(names, return_index=True, return_inverse=True)
-    order = np.argsort(at)
+    _, first_places, group = np.unique(names, return_index=True, return_inverse=True)
+    order = np.argsort(first_places)
     rank = np.empty_like(order)
     rank[order] = np.arange(len(order))
-    first, group = at[order], rank[group]
-    relative: Array = np.asarray(signs * signs[first][group], dtype=np.float64)
-    return group.astype(np.int64), first.astype(np.int64), relative
+    first_readings, group = first_places[order], rank[group]
+    relative: Array = np.asarray(signs * signs[first_readings][group], dtype=np.float64)
+    return group.astype(np.int64), first_readings.astype(np.int64), relative
 
 
-#: Fewer frames leave too few degrees of freedom to distinguish noisy readings from chance.
+#: Smallest number of frames; fewer leave too few degrees of freedom to distinguish noisy readings from chance.
 FEWEST_FRAMES: Final = 6
 
 _REMEDY: Final = 'or set analysis.noise_weighting = "equal" in the recipe'
@@ -171,17 +171,17 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
             remedy=f"measure with a finer resolution, {_REMEDY}",
         )
     step = _converter_step(readings[:, ~silent], rounding)
-    own = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
-    moderated, common, freedom = _moderate_variances(own, count - 2)
-    variance = np.full(len(silent), common)
+    raw_variance = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
+    moderated, common_variance, freedom = _moderate_variances(raw_variance, count - 2)
+    variance = np.full(len(silent), common_variance)
     variance[~silent] = moderated
-    return ReadingNoise(variance, common, freedom, silent)
+    return ReadingNoise(variance, common_variance, freedom, silent)
 
 
 def _converter_step(readings: Array, rounding: float) -> float:
     """Median over readings of the smallest difference between two values of one; almost zero without rounding."""
-    apart = np.diff(np.sort(readings, axis=0), axis=0)
-    smallest = np.where(apart > rounding, apart, np.inf).min(axis=0)
+    differences = np.diff(np.sort(readings, axis=0), axis=0)
+    smallest = np.where(differences > rounding, differences, np.inf).min(axis=0)
     return float(np.median(smallest))
 
 
@@ -194,11 +194,11 @@ def _scatter(readings: Array, time_s: Array, step: float) -> Array:
     clipped = values
     for _ in range(_ROUNDS):
         line = q @ (q.T @ clipped)
-        left = values - line
-        spread = np.maximum(_DEVIATION * np.sqrt(count / freedom) * np.median(np.abs(left), axis=0), least)
-        clipped = line + np.clip(left, -_CLIP * spread, _CLIP * spread)
-    left = clipped - q @ (q.T @ clipped)
-    variance: Array = (left**2).sum(axis=0) / (freedom * _CLIPPED_VARIANCE)
+        residuals = values - line
+        spread = np.maximum(_DEVIATION * np.sqrt(count / freedom) * np.median(np.abs(residuals), axis=0), least)
+        clipped = line + np.clip(residuals, -_CLIP * spread, _CLIP * spread)
+    residuals = clipped - q @ (q.T @ clipped)
+    variance: Array = (residuals**2).sum(axis=0) / (freedom * _CLIPPED_VARIANCE)
     return variance
 
 
@@ -208,21 +208,21 @@ def _moderate_variances(own: Array, freedom: int) -> tuple[Array, float, float]:
     beyond_chance = float(level.var(ddof=1) - polygamma(1, freedom / 2)) if len(own) > 1 else 0.0
     mean = float(level.mean())
     if beyond_chance <= 0:
-        common = float(np.exp(mean))
-        return np.full_like(own, common), common, float("inf")
+        common_variance = float(np.exp(mean))
+        return np.full_like(own, common_variance), common_variance, float("inf")
     prior = 2 * _inverse_trigamma(beyond_chance)
-    common = float(np.exp(mean + digamma(prior / 2) - np.log(prior / 2)))
-    moderated: Array = (prior * common + freedom * own) / (prior + freedom)
-    return moderated, common, prior
+    common_variance = float(np.exp(mean + digamma(prior / 2) - np.log(prior / 2)))
+    moderated: Array = (prior * common_variance + freedom * own) / (prior + freedom)
+    return moderated, common_variance, prior
 
 
 def _inverse_trigamma(value: float) -> float:
     """Return y with ψ′(y) = value, by the Newton iteration of Smyth 2004, appendix; it converges from below."""
-    at = 0.5 + 1 / value
+    y = 0.5 + 1 / value
     for _ in range(50):
-        slope = float(polygamma(1, at))
-        step = slope * (1 - slope / value) / float(polygamma(2, at))
-        at += step
-        if -step < 1e-10 * at:
+        slope = float(polygamma(1, y))
+        step = slope * (1 - slope / value) / float(polygamma(2, y))
+        y += step
+        if -step < 1e-10 * y:
             break
-    return at
+    return y

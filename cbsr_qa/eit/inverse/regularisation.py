@@ -95,17 +95,17 @@ class Regularisation:
         search, evidence = search_on(base), evidence_of(base)
         answers, refusals = [], {}
         for criterion in Criterion:
-            words = self._words(criterion, base, evidence)
+            description = self._words(criterion, base, evidence)
             try:
-                answers.append(ParameterAnswer(criterion, self._value(criterion, search, evidence), words))
+                answers.append(ParameterAnswer(criterion, self._value(criterion, search, evidence), description))
             except NumericsError as error:
                 answers.append(ParameterAnswer(criterion, None, error.reason))
                 refusals[criterion] = error
         if self.criterion in refusals:
             raise refusals[self.criterion]
-        own = next(answer for answer in answers if answer.criterion == self.criterion)
-        assert own.value is not None
-        return own.value, own.words, self._curve(search, tuple(answers))
+        chosen = next(answer for answer in answers if answer.criterion == self.criterion)
+        assert chosen.value is not None
+        return chosen.value, chosen.words, self._curve(search, tuple(answers))
 
     def _curve(self, search: ParameterSearch, answers: tuple[ParameterAnswer, ...]) -> ParameterCurve:
         """Noise figures over the searched range, with every choice among the values."""

@@ -19,7 +19,7 @@ def scale_of(reference_voltages: Array, problem: ImagingProblem) -> float:
 
     Parameters
     ----------
-    reference_voltages : (drives, measures) of the unloaded sensor; only used readings matter.
+    reference_voltages : (drives, measures) voltages of the unloaded sensor; only used readings matter.
 
     Raises
     ------
@@ -46,11 +46,11 @@ def agreement(reference_voltages: Array, problem: ImagingProblem) -> float:
 
 def scale_doubts(reference_voltages: Array, problem: ImagingProblem) -> tuple[str, ...]:
     """Warnings about the scale of a reference frame; empty if its cosine with the model's is at least 0.9."""
-    alike = agreement(reference_voltages, problem)
-    if abs(alike) >= _LEAST_ALIKE:
+    cosine = agreement(reference_voltages, problem)
+    if abs(cosine) >= _LEAST_ALIKE:
         return ()
     return (
-        f"the unloaded frame matches the model's with a cosine of {alike:.2f} (1 is equal): its readings have an"
+        f"the unloaded frame matches the model's with a cosine of {cosine:.2f} (1 is equal): its readings have an"
         " offset, or electrodes are misplaced or in another order; image amplitudes are not reliable",
     )
 
@@ -75,9 +75,9 @@ def changes(voltages: Array, reference: Array, problem: ImagingProblem, scale: f
     _check_scale(scale)
     with np.errstate(over="ignore"):
         changed: Array = (_select_frames(voltages, problem) - _select_frame(reference, problem)) / scale
-    wrong = np.argwhere(~np.isfinite(changed))
-    if wrong.size:
-        frame, channel = wrong[0]
+    bad_entries = np.argwhere(~np.isfinite(changed))
+    if bad_entries.size:
+        frame, channel = bad_entries[0]
         raise NumericsError(
             f"the change of {reading_name(problem.used, channel)} of frame {frame} over the scale {scale:g} is too"
             " large for a number",

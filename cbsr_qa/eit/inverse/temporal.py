@@ -49,7 +49,7 @@ def smooth(readings: Array, values: Array, ridge: float, correlation: Correlatio
 
     Parameters
     ----------
-    readings : (n, k) of the eigenvectors, in the order of the frames.
+    readings : (n, k) coefficients of the eigenvectors, in the order of the frames.
     values : (k,) Λ ≥ 0. ridge : λ² > 0.
 
     Returns
@@ -58,16 +58,16 @@ def smooth(readings: Array, values: Array, ridge: float, correlation: Correlatio
     """
     a, anew = correlation.between, correlation.anew
     filtered = np.empty_like(readings)
-    back = np.empty_like(readings)  # smoother gains from each frame's successor
+    smoother_gains = np.empty_like(readings)  # smoother gains from each frame's successor
     estimate, spread = np.zeros(readings.shape[1]), np.ones(readings.shape[1])  # variance in units of Λ
     for frame, reading in enumerate(readings):
         estimate, ahead = a * estimate, a * a * spread + anew
         if frame:
-            back[frame - 1] = a * spread / ahead
+            smoother_gains[frame - 1] = a * spread / ahead
         estimate = estimate + ahead / (values * ahead + ridge) * (reading - values * estimate)
         spread = ahead * ridge / (values * ahead + ridge)
         filtered[frame] = estimate
-    return _smooth_backwards(filtered, back, a, correlation.lag)
+    return _smooth_backwards(filtered, smoother_gains, a, correlation.lag)
 
 
 def _smooth_backwards(filtered: Array, back: Array, a: float, lag: int | None) -> Array:
@@ -78,13 +78,15 @@ def _smooth_backwards(filtered: Array, back: Array, a: float, lag: int | None) -
         for frame in range(count - 2, -1, -1):
             smooth[frame] += back[frame] * (smooth[frame + 1] - a * filtered[frame])
         return smooth
-    here = np.arange(count)
-    last = np.minimum(here + lag, count - 1)
-    smooth = filtered[last]
+    frames = np.arange(count)
+    last_frames = np.minimum(frames + lag, count - 1)
+    smooth = filtered[last_frames]
     for behind in range(1, lag + 1):
-        some = last - behind >= here
-        at = (last - behind)[some]
-        smooth[some] = filtered[at] + back[at] * (smooth[some] - a * filtered[at])
+        has_successor = last_frames - behind >= frames
+        earlier_frames = (last_frames - behind)[has_successor]
+        smooth[has_successor] = filtered[earlier_frames] + back[earlier_frames] * (
+            smooth[has_successor] - a * filtered[earlier_frames]
+        )
     return smooth
 
 
@@ -96,8 +98,8 @@ class TemporalImages:
 
     Parameters
     ----------
-    choice : of λ, for single frames.
-    spectrum : of all used readings.
+    choice : choice of λ, for single frames.
+    spectrum : spectrum of all used readings.
     """
 
     method: str

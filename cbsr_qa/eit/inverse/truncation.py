@@ -28,24 +28,26 @@ class Truncation:
 
     Parameters
     ----------
-    problem : its readings are folded first.
+    problem : problem whose readings are folded first.
     """
 
     def __init__(self, problem: ImagingProblem) -> None:
         self._fold = ReadingFold.from_problem(problem)
         rows = self._fold.rows(problem.jacobian)
         spectrum = dual_spectrum(rows, problem.mesh.areas_mm2, self._fold.variance)
-        kept = np.flatnonzero(spectrum.values > _LEAST**2 * spectrum.values[-1])[::-1]
-        self._values = spectrum.values[kept]
-        self._spectrum = DualSpectrum(spectrum.basis[:, kept], self._values, spectrum.analysis[kept])
+        kept_components = np.flatnonzero(spectrum.values > _LEAST**2 * spectrum.values[-1])[::-1]
+        self._values = spectrum.values[kept_components]
+        self._spectrum = DualSpectrum(
+            spectrum.basis[:, kept_components], self._values, spectrum.analysis[kept_components]
+        )
         self._problem = problem
 
     @property
     def cuts(self) -> Indices:
         """Numbers of components that split no pair, rising."""
         roots = np.sqrt(self._values)
-        apart = np.append(roots[1:] < _PAIR * roots[:-1], True)
-        return np.flatnonzero(apart).astype(np.int64) + 1
+        is_cut = np.append(roots[1:] < _PAIR * roots[:-1], True)
+        return np.flatnonzero(is_cut).astype(np.int64) + 1
 
     @property
     def shown(self) -> Array:
@@ -66,30 +68,30 @@ class Truncation:
         """
         variance = self._problem.noise_variance
         louder = 1.0 if variance is None else float(np.sqrt(variance.mean() * (1 / variance).mean()))
-        reached = louder * self.noise_figures(self.shown)
-        enough = np.flatnonzero(reached <= target)
-        if not enough.size:
+        figures = louder * self.noise_figures(self.shown)
+        allowed = np.flatnonzero(figures <= target)
+        if not allowed.size:
             raise NumericsError(
                 f"no number of components reaches noise figure {target:.3g} with the remaining readings; the"
-                f" least is {reached.min():.3g}",
+                f" least is {figures.min():.3g}",
                 remedy="give a larger noise figure or the number of components itself, or repair bad channels",
             )
-        return int(self.cuts[enough[-1]])
+        return int(self.cuts[allowed[-1]])
 
     def matrix(self, components: int) -> Array:
         """Imaging matrix (e, m); NumericsError for too many components, or if a pair would be split."""
         if components not in self.cuts:
-            near = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
+            nearest_cuts = self.cuts[np.argsort(np.abs(self.cuts - components), kind="stable")[:2]]
             count = len(self._values)
             raise NumericsError(
                 f"components is {components}; allowed: 1 to {count}"
                 if not 1 <= components <= count
                 else f"{components} components split a pair of equal singular values",
-                remedy=f"keep {' or '.join(str(number) for number in sorted(near))}",
+                remedy=f"keep {' or '.join(str(number) for number in sorted(nearest_cuts))}",
             )
-        kept = slice(None, components)
-        images = self._spectrum.basis[:, kept] / self._values[kept]
-        return self._fold.unfold(images @ self._spectrum.analysis[kept])
+        kept_components = slice(None, components)
+        images = self._spectrum.basis[:, kept_components] / self._values[kept_components]
+        return self._fold.unfold(images @ self._spectrum.analysis[kept_components])
 
     def noise_figures(self, values: Array) -> Array:
         """Noise figure (Adler et al. 2009) of each of some numbers of components."""
@@ -104,15 +106,15 @@ class Truncation:
 
     def for_noise_figure(self, target: float) -> float:
         """Most components whose noise figure is at most the target."""
-        reached = self.noise_figures(self.shown)
-        within = np.flatnonzero(reached <= target)
-        if not within.size or not target <= reached.max():
+        figures = self.noise_figures(self.shown)
+        allowed = np.flatnonzero(figures <= target)
+        if not allowed.size or not target <= figures.max():
             raise NumericsError(
-                f"noise figure {target} cannot be reached; this sensor type allows {reached.min():.3g} to"
-                f" {reached.max():.3g}",
+                f"noise figure {target} cannot be reached; this sensor type allows {figures.min():.3g} to"
+                f" {figures.max():.3g}",
                 remedy="give a noise figure in that range, or the number of components itself",
             )
-        return float(self.shown[within[-1]])
+        return float(self.shown[allowed[-1]])
 
     def choose_from_readings(self, criterion: Criterion, evidence: Evidence) -> float:
         """Number of components chosen from readings; NumericsError if they determine none."""
@@ -122,20 +124,20 @@ class Truncation:
                 "the readings to choose from do not differ from their reference: nothing to fit",
                 remedy="choose by noise figure, or on readings of a load",
             )
-        left = np.append(np.cumsum(energy[::-1])[::-1], 0.0)[self.cuts]
+        residuals = np.append(np.cumsum(energy[::-1])[::-1], 0.0)[self.cuts]
         if criterion is Criterion.GCV:
-            return self._cross_validated(left)
+            return self._cross_validated(residuals)
         if criterion is Criterion.DISCREPANCY:
-            return self._discrepant(left, noise_level(evidence, len(self._fold.first)))
-        return self._find_corner(left, np.cumsum(energy / self._values)[self.cuts - 1])
+            return self._discrepant(residuals, noise_level(evidence, len(self._fold.first)))
+        return self._find_corner(residuals, np.cumsum(energy / self._values)[self.cuts - 1])
 
     def _cross_validated(self, left: Array) -> float:
         free = len(self._values) - self.cuts
-        inside = free > 0
-        where = int(np.argmin(left[inside] / free[inside] ** 2))
-        if where in (0, int(inside.sum()) - 1):
+        has_freedom = free > 0
+        minimum = int(np.argmin(left[has_freedom] / free[has_freedom] ** 2))
+        if minimum in (0, int(has_freedom.sum()) - 1):
             raise NumericsError(f"cross-validation has no minimum within 1 to {len(free)} components", remedy=_REMEDY)
-        return float(self.cuts[where])
+        return float(self.cuts[minimum])
 
     def _discrepant(self, left: Array, level: float) -> float:
         """Fewest components with a residual no larger than noise."""
@@ -150,8 +152,8 @@ class Truncation:
 
     def _find_corner(self, left: Array, size: Array) -> float:
         """Corner of the discrete L-curve by the triangle method (Castellanos, Gómez & Guerra 2002)."""
-        seen = left > _LEAST**2 * left[0]
-        points = np.column_stack([np.log(left[seen]), np.log(size[seen])]) / 2
+        is_resolved = left > _LEAST**2 * left[0]
+        points = np.column_stack([np.log(left[is_resolved]), np.log(size[is_resolved])]) / 2
         best, corner = _WIDEST, -1
         for middle in range(1, len(points) - 1):
             back, ahead = points[:middle] - points[middle], points[-1] - points[middle]
@@ -162,4 +164,4 @@ class Truncation:
                 best, corner = sharpest, middle
         if corner < 0:
             raise NumericsError("the L-curve of the components has no corner", remedy=_REMEDY)
-        return float(self.cuts[seen][corner])
+        return float(self.cuts[is_resolved][corner])

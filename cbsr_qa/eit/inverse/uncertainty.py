@@ -10,11 +10,11 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.problem import find_masked_electrodes
 
-#: Places further out than this, of the radius, are the electrodes' own neighbourhood.
+#: Share of the radius beyond which places are in the electrodes' own neighbourhood.
 _OUTERMOST: Final = 0.8
 _PLACES: Final = 150
-#: A place whose standard error grows by this is hardly seen: of a load so strong that all readings together place it
-#: within 1 mm.
+#: Factor by which the standard error of a place grows if it is hardly seen; all readings together would place the
+#: same load within 1 mm.
 _HARDLY: Final = 10.0
 
 
@@ -24,7 +24,7 @@ class MaskingEffect:
 
     Parameters
     ----------
-    electrodes : without any remaining reading.
+    electrodes : electrodes without any remaining reading.
     left, of : remaining readings and all.
     typical, worst : median and largest ratio of the place's standard error to that with all readings.
     worst_x_mm, worst_y_mm : place of the largest.
@@ -45,10 +45,10 @@ class MaskingEffect:
         unit_mm, unit = (1.0, "mm") if radius_mm is None else (radius_mm, "radii")
         x, y = self.worst_x_mm / unit_mm, self.worst_y_mm / unit_mm
         numbers = [str(number) for number in self.electrodes]
-        listed = ", ".join(numbers[:-1]) + f" and {numbers[-1]}" if len(numbers) > 1 else "".join(numbers)
-        named = f"electrode{'s' if len(numbers) > 1 else ''} {listed}" if numbers else "some readings"
+        number_list = ", ".join(numbers[:-1]) + f" and {numbers[-1]}" if len(numbers) > 1 else "".join(numbers)
+        left_out = f"electrode{'s' if len(numbers) > 1 else ''} {number_list}" if numbers else "some readings"
         return (
-            f"images are made without {named}, from {self.left} of {self.of} readings: the place of a load is"
+            f"images are made without {left_out}, from {self.left} of {self.of} readings: the place of a load is"
             f" {self.typical:.1f} times as uncertain as with all of them (median over the sheet), at"
             f" ({x:.2g}, {y:.2g}) {unit} {self.worst:.1f} times"
             + (f"; {self.hardly_seen:.0%} of the sheet is hardly seen" if self.hardly_seen else "")
@@ -64,15 +64,17 @@ def masking_effect(problem: ImagingProblem) -> MaskingEffect | None:
     if problem.nominal is None or len(problem.reference) == len(problem.nominal.reference):
         return None
     places = _places(problem)
-    jacobian, kept = problem.nominal.jacobian, problem.used[problem.nominal.used]
+    jacobian, is_kept = problem.nominal.jacobian, problem.used[problem.nominal.used]
     patterns = jacobian @ _bumps(problem, places)
-    all_of, some_of = (_place_bounds(rows.reshape(len(rows), 3, -1)) for rows in (patterns, patterns[kept]))
-    ratio = some_of / all_of
+    all_bounds, kept_bounds = (
+        _place_bounds(rows.reshape(len(rows), 3, -1)) for rows in (patterns, patterns[is_kept])
+    )
+    ratio = kept_bounds / all_bounds
     worst = int(np.argmax(ratio))
     return MaskingEffect(
         find_masked_electrodes(problem.sensor_type.pattern, problem.used),
-        int(kept.sum()),
-        len(kept),
+        int(is_kept.sum()),
+        len(is_kept),
         float(np.median(ratio)),
         float(ratio[worst]),
         float(places[worst, 0]),

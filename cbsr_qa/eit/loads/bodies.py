@@ -46,7 +46,7 @@ class StripModel:
 
     Parameters
     ----------
-    sensor_type : of two electrodes, whose first drive pair is also its first measure pair.
+    sensor_type : sensor type with two electrodes, whose first drive pair is also its first measure pair.
     indenter : the head, with its axis over ``place_mm``.
     contact_length_mm : contact impedance of a pin over the strip's sheet resistance.
 
@@ -146,11 +146,11 @@ class DeepTank:
         """Readings per unit current and resistivity, (drives, measures)."""
         order = np.arange(_ORDERS + 1)
         radial = np.zeros(_ORDERS + 1)
-        for mode, share, seen in zip(self._modes, self._share, self._seen, strict=True):
-            radial += share * seen * _radial(mode, np.ones(1))[0]
-        apart = self._angles[:, None] - self._angles
+        for mode, share, electrode_gain in zip(self._modes, self._share, self._seen, strict=True):
+            radial += share * electrode_gain * _radial(mode, np.ones(1))[0]
+        angles_apart = self._angles[:, None] - self._angles
         coefficients = self._weight**2 * np.pi * radial
-        impedance = np.einsum("m,ijm->ij", coefficients, np.cos(order * apart[..., None]))
+        impedance = np.einsum("m,ijm->ij", coefficients, np.cos(order * angles_apart[..., None]))
         drive, measure = self._pattern.drive_currents(), self._pattern.measure_matrix()
         readings: Array = drive.T @ impedance @ measure
         return readings
@@ -163,18 +163,24 @@ class DeepTank:
         Parameters
         ----------
         places : (p, 2), in units of the tank's radius; inside 0.95.
-        radius : of the balls.
-        conducts : whether they are perfect conductors or insulators.
+        radius : radius of the balls.
+        conducts : True for perfect conductors, False for insulators.
 
         Returns
         -------
         (p, drives, measures), per unit of volume.
         """
-        first, second = self._derivatives(places)
+        first_derivatives, second_derivatives = self._derivatives(places)
         drive, measure = self._pattern.drive_currents(), self._pattern.measure_matrix()
         dipole, quadrupole = (3.0, 5 / 2) if conducts else (-3 / 2, -5 / 3)
-        gradient = np.einsum("pea,ed->pda", first, drive), np.einsum("pea,em->pma", first, measure)
-        bend = np.einsum("pea,ed->pda", second, drive), np.einsum("pea,em->pma", second, measure)
+        gradient = (
+            np.einsum("pea,ed->pda", first_derivatives, drive),
+            np.einsum("pea,em->pma", first_derivatives, measure),
+        )
+        bend = (
+            np.einsum("pea,ed->pda", second_derivatives, drive),
+            np.einsum("pea,em->pma", second_derivatives, measure),
+        )
         change: Array = dipole * np.einsum("pda,pma->pdm", *gradient)
         change += quadrupole * radius**2 / 5 * np.einsum("pda,pma->pdm", *bend)
         return -change
@@ -199,11 +205,11 @@ class DeepTank:
             return (coefficients * at_cos) @ el_cos.T + (coefficients * at_sin) @ el_sin.T
 
         waves, rho = (cosine, sine), radius[:, None]
-        along, across = series(slope, waves, False), -series(order * value, waves, True) / rho
+        radial, tangential = series(slope, waves, False), -series(order * value, waves, True) / rho
         rr = series(bend, waves, False)
-        tt = along / rho - series(order**2 * value, waves, False) / rho**2
-        rt = -series(order * slope, waves, True) / rho - across / rho
-        first, second = np.stack([along, across], axis=2), np.stack([rr, tt, np.sqrt(2) * rt, -rr - tt], axis=2)
+        tt = radial / rho - series(order**2 * value, waves, False) / rho**2
+        rt = -series(order * slope, waves, True) / rho - tangential / rho
+        first, second = np.stack([radial, tangential], axis=2), np.stack([rr, tt, np.sqrt(2) * rt, -rr - tt], axis=2)
         return first, second
 
     @staticmethod
@@ -234,8 +240,8 @@ def _radial(mode: float, radii: Array) -> Array:
         return radii[:, None] ** order / np.maximum(order, 1)
     at_wall = _log_bessel(order, np.full(order.shape, mode))
     next_order = np.exp(_log_bessel(order + 1, np.full(order.shape, mode)) - at_wall)
-    inside = _log_bessel(order, mode * radii[:, None])
-    return np.exp(inside - at_wall) / (order + mode * next_order)
+    log_inside = _log_bessel(order, mode * radii[:, None])
+    return np.exp(log_inside - at_wall) / (order + mode * next_order)
 
 
 def _log_bessel(order: Indices, argument: Array) -> Array:

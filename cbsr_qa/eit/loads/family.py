@@ -17,7 +17,7 @@ from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
 from cbsr_qa.eit.loads.rims import InverseEntries, find_outer_nodes, own_rim
 
-#: Overlapping loads are treated as residues if all together are weaker than this, up to this number.
+#: Largest total strength and largest number of overlapping loads that are treated as residues.
 WEAK: Final = 2e-3
 _MOST_WEAK: Final = 8
 #: Terms of a series, and size of its last ones relative to its largest.
@@ -74,8 +74,8 @@ class StackedSeries(Sized):
 
     Parameters
     ----------
-    series : of the change of each load, (k, q, 2, 2) each.
-    places : (k,) int64 of each, indices of its elements among all.
+    series : series of the change of each load, (k, q, 2, 2) each.
+    places : (k,) int64 indices of the elements of each load among all.
     shape : (all elements, q, 2, 2).
     """
 
@@ -86,15 +86,15 @@ class StackedSeries(Sized):
         terms, owners, orders = [], [], []
         for number, (load, place) in enumerate(zip(series, places, strict=True)):
             size = np.abs(load.coefficients).reshape(TERMS, -1).max(axis=1)
-            kept = (
+            kept_orders = (
                 np.flatnonzero(size > np.finfo(float).eps * size.max()) if load.reach else np.zeros(0, dtype=np.int64)
             )
-            spread = np.zeros((len(kept), *self._shape))
-            if kept.size:
-                spread[:, place] = load.coefficients[kept]
-            terms.append(spread.reshape(len(kept), -1))
-            owners.append(np.full(len(kept), number))
-            orders.append(kept)
+            spread = np.zeros((len(kept_orders), *self._shape))
+            if kept_orders.size:
+                spread[:, place] = load.coefficients[kept_orders]
+            terms.append(spread.reshape(len(kept_orders), -1))
+            owners.append(np.full(len(kept_orders), number))
+            orders.append(kept_orders)
         self._terms = np.concatenate(terms)
         self._owner, self._order = np.concatenate(owners), np.concatenate(orders)
         # Largest entry by strength, of matrices of two by two.
@@ -102,12 +102,12 @@ class StackedSeries(Sized):
 
     def __call__(self, strengths: Array) -> Array:
         """Return the sum of all changes for (n,) strengths: (all elements, q, 2, 2)."""
-        within = np.abs(strengths) <= self._reach
-        used = np.where(within, strengths, 0.0)
-        angle = np.arccos(np.clip(used / np.where(self._reach > 0, self._reach, 1.0), -1, 1))
-        factors = used[self._owner] * np.cos(self._order * angle[self._owner])
+        is_within_reach = np.abs(strengths) <= self._reach
+        series_strengths = np.where(is_within_reach, strengths, 0.0)
+        angle = np.arccos(np.clip(series_strengths / np.where(self._reach > 0, self._reach, 1.0), -1, 1))
+        factors = series_strengths[self._owner] * np.cos(self._order * angle[self._owner])
         change: Array = (factors @ self._terms).reshape(self._shape)
-        for number in np.flatnonzero(~within).tolist():
+        for number in np.flatnonzero(~is_within_reach).tolist():
             change[self._places[number]] += self._series[number](float(strengths[number]))
         return change
 
@@ -124,7 +124,7 @@ class LoadFamily:
     Parameters
     ----------
     elements : (k,) int64, rising.
-    change : of their conductance, by strength: (k, q, 2, 2) [S], zero for zero strength.
+    change : function of the strength that returns the change of their conductance, (k, q, 2, 2) [S]; zero at zero.
     """
 
     def __init__(self, elements: Indices, change: Callable[[float], Array]) -> None:
@@ -155,8 +155,8 @@ class Patch:
     def nbytes(self) -> int:
         """Memory beside its loads, mostly tables [bytes]."""
         tables = [self._own, *vars(self).get("_weak", ()), *([self.series.coefficients] if self.series else [])]
-        parts = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
-        return parts + sum(int(table.nbytes) for table in tables)
+        part_bytes = self._stack.nbytes + self._matrices.nbytes + self._stacked.nbytes
+        return part_bytes + sum(int(table.nbytes) for table in tables)
 
     def answer(self, strengths: Sequence[float]) -> Array:
         """X for the strengths of its loads, without a series: (b, b) [S].
@@ -166,9 +166,9 @@ class Patch:
         """
         if 1 < len(strengths) <= _MOST_WEAK and sum(map(abs, strengths)) <= WEAK:
             linear, quadratic = self._weak
-            given = np.asarray(strengths)
-            both = np.concatenate([given, np.outer(given, given)[np.triu_indices(len(given))]])
-            return np.tensordot(both, np.concatenate([linear, quadratic]), 1)
+            vector = np.asarray(strengths)
+            powers = np.concatenate([vector, np.outer(vector, vector)[np.triu_indices(len(vector))]])
+            return np.tensordot(powers, np.concatenate([linear, quadratic]), 1)
         return self._exact(strengths)
 
     @cached_property
@@ -176,19 +176,19 @@ class Patch:
         """Coefficients of the strengths (n, b, b), and of their products, pair by pair (n (n + 1)/2, b, b)."""
         count, step = len(self.families), WEAK
         unit = step * np.eye(count)
-        up, down = (np.array([self._exact((sign * row).tolist()) for row in unit]) for sign in (1, -1))
+        raised, lowered = (np.array([self._exact((sign * row).tolist()) for row in unit]) for sign in (1, -1))
         pairs = []
         for i, j in zip(*np.triu_indices(count), strict=True):
             if i == j:
-                pairs.append((up[i] + down[i]) / (2 * step**2))
+                pairs.append((raised[i] + lowered[i]) / (2 * step**2))
             else:
-                both = self._exact((unit[i] + unit[j]).tolist()) + self._exact((-unit[i] - unit[j]).tolist())
-                pairs.append((both - up[i] - down[i] - up[j] - down[j]) / (2 * step**2))
-        return (up - down) / (2 * step), np.array(pairs)
+                pair_sum = self._exact((unit[i] + unit[j]).tolist()) + self._exact((-unit[i] - unit[j]).tolist())
+                pairs.append((pair_sum - raised[i] - lowered[i] - raised[j] - lowered[j]) / (2 * step**2))
+        return (raised - lowered) / (2 * step), np.array(pairs)
 
     def _exact(self, strengths: Sequence[float]) -> Array:
         change = self._stacked(np.asarray(strengths))
         if not self._stacked.most(strengths) < _SAFE * self._least:
             check_change(self._model, self._elements, change)
-        seen = self._stack.rim_changes(self._matrices.assemble(change))[0]
-        return np.linalg.solve(np.eye(len(seen)) + seen @ self._own, seen)
+        rim_change = self._stack.rim_changes(self._matrices.assemble(change))[0]
+        return np.linalg.solve(np.eye(len(rim_change)) + rim_change @ self._own, rim_change)

@@ -67,8 +67,8 @@ class LocalUpdate:
         changed = self._solve_change(elements, conductance_change, contact_impedance)
         if isinstance(changed, ForwardModel):
             return changed.voltages()
-        lost, own = changed  # separately: voltages of driven contacts cost the other readings no digits
-        return self._unchanged - self.model.readings(lost) + self.model.readings(own)
+        lost, own_change = changed  # separately: voltages of driven contacts cost the other readings no digits
+        return self._unchanged - self.model.readings(lost) + self.model.readings(own_change)
 
     def transfer_impedance(
         self, elements: Indices, conductance_change: Array, contact_impedance: Array | None = None
@@ -77,30 +77,30 @@ class LocalUpdate:
         change = self._solve_change(elements, conductance_change, contact_impedance)
         if isinstance(change, ForwardModel):
             return change.transfer_impedance
-        lost, own = change
-        return self.model.transfer_impedance - lost + own
+        lost, own_change = change
+        return self.model.transfer_impedance - lost + own_change
 
     def _solve_change(
         self, elements: Indices, change: Array, contact_impedance: Array | None
     ) -> ForwardModel | tuple[Array, Array]:
         """Change of the transfer impedance by the sheet and by contacts; or the sheet factorised again."""
         elements, change = self._check_change(elements, change)
-        contact_change, own = self.contact_change(contact_impedance)
+        contact_change, own_change = self.contact_change(contact_impedance)
         if not elements.size and contact_change is None:
             return np.zeros_like(self.model.transfer_impedance), np.zeros_like(self.model.transfer_impedance)
         patches = self._patches(elements, contact_change is not None)
         if patches is None:
             return self.model.with_change_on(elements, change, contact_impedance)
-        return patches.correction(change, contact_change), own
+        return patches.correction(change, contact_change), own_change
 
     def contact_change(self, impedance: Array | None) -> tuple[Array | None, Array]:
         """Change of 1/z [S/mm], or None if unchanged, and change of each electrode's own potential."""
-        before = self.model.contact_impedance
-        if impedance is None or np.array_equal(impedance, before):
-            return None, np.zeros((len(before), len(before)))
-        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), before.shape)
+        old = self.model.contact_impedance
+        if impedance is None or np.array_equal(impedance, old):
+            return None, np.zeros((len(old), len(old)))
+        impedance = check_values("contact impedance", np.asarray(impedance, dtype=np.float64), old.shape)
         lengths = self.model.prepared.contacts.lengths_mm
-        return (before - impedance) / (before * impedance), np.diag((impedance - before) / lengths)
+        return (old - impedance) / (old * impedance), np.diag((impedance - old) / lengths)
 
     def _check_change(self, elements: Indices, change: Array) -> tuple[Indices, Array]:
         elements, change = np.asarray(elements, dtype=np.int64), np.asarray(change, dtype=np.float64)

@@ -31,7 +31,7 @@ class MeshedSheet:
 
     Parameters
     ----------
-    model : of unit conductance everywhere; of second order, unless the mesh is fine.
+    model : model with unit conductance everywhere; of second order, unless the mesh is fine.
     radius_mm : size of the sheet.
 
     Raises
@@ -91,8 +91,8 @@ class MeshedSheet:
 
     def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
         """Fields of unit currents about places, as in :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
-        parts = [self._about(*part, orders) for part in _parts(place_mm, reach_mm)]
-        return np.concatenate([part.fields(self._fields) for part in parts])
+        poles = [self._about(*part, orders) for part in _parts(place_mm, reach_mm)]
+        return np.concatenate([part.fields(self._fields) for part in poles])
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
         """Expand about places.
@@ -113,14 +113,14 @@ class MeshedSheet:
     def _about(self, centre: Complex, reach: Array, orders: int) -> "_Poles":
         pole, flux = self._poles(centre, reach, orders)
         mean = np.stack([self._means @ values for values in pole])  # (n, electrodes, 2M)
-        apart = pole[:, self._contact] - mean[:, self._owner]
-        drawn = apart * self._admittance[:, None]
-        own = np.swapaxes(pole * self._lengths[:, None], 1, 2) @ flux
-        own += np.swapaxes(apart * self._lengths[self._contact, None], 1, 2) @ drawn
-        flux[:, self._contact] += drawn
+        contact_drop = pole[:, self._contact] - mean[:, self._owner]
+        contact_flux = contact_drop * self._admittance[:, None]
+        own_product = np.swapaxes(pole * self._lengths[:, None], 1, 2) @ flux
+        own_product += np.swapaxes(contact_drop * self._lengths[self._contact, None], 1, 2) @ contact_flux
+        flux[:, self._contact] += contact_flux
         load = -np.stack([self._spread @ values for values in flux])  # (n, nodes, 2M)
         weight = 2 * np.pi * np.tile(np.arange(1, orders + 1), 2)[:, None]
-        return _Poles(mean, load, own, weight)
+        return _Poles(mean, load, own_product, weight)
 
     def _poles(self, centre: Complex, reach: Array, orders: int) -> tuple[Array, Array]:
         """Poles (reach/(z − c))^m along the edge and their outward slopes, real and imaginary parts: (n, g, 2M)."""
@@ -142,11 +142,11 @@ class MeshedSheet:
     def _inverse(self) -> Array:
         """K⁻¹ between the nodes on the edge, for loads that sum to zero: (nodes, nodes)."""
         inverse = np.empty((len(self._nodes),) * 2)
-        for first in range(0, len(self._nodes), _SOLVED_AT_ONCE):
-            part = self._nodes[first : first + _SOLVED_AT_ONCE]
-            load = np.zeros((self.model.elements.count, len(part)))
-            load[part, np.arange(len(part))] = 1
-            inverse[:, first : first + len(part)] = self.model.solve(load)[self._nodes]
+        for begin in range(0, len(self._nodes), _SOLVED_AT_ONCE):
+            nodes = self._nodes[begin : begin + _SOLVED_AT_ONCE]
+            load = np.zeros((self.model.elements.count, len(nodes)))
+            load[nodes, np.arange(len(nodes))] = 1
+            inverse[:, begin : begin + len(nodes)] = self.model.solve(load)[self._nodes]
         return (inverse + inverse.T) / 2
 
 
@@ -156,9 +156,9 @@ class _Poles:
 
     Parameters
     ----------
-    mean : (n, electrodes, 2M) under each electrode.
-    load : (n, nodes, 2M) into the nodes of the edge, to cancel their current through it.
-    own : (n, 2M, 2M) of the poles among themselves.
+    mean : (n, electrodes, 2M) mean under each electrode.
+    load : (n, nodes, 2M) current into the nodes of the edge, to cancel their current through it.
+    own : (n, 2M, 2M) product of the poles among themselves.
     weight : (2M, 1) 2πm.
     """
 
@@ -197,6 +197,6 @@ def _owners(model: ForwardModel, edges: Indices) -> Indices:
     count = len(model.mesh.nodes_mm)
     keys = np.sort(edges, axis=1) @ np.array([count, 1])
     owner = np.full(len(edges), -1, dtype=np.int64)
-    for number, own in enumerate(model.mesh.electrode_edges):
-        owner[np.isin(keys, np.sort(own, axis=1) @ np.array([count, 1]))] = number
+    for number, electrode_edges in enumerate(model.mesh.electrode_edges):
+        owner[np.isin(keys, np.sort(electrode_edges, axis=1) @ np.array([count, 1]))] = number
     return owner

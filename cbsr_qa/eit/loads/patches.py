@@ -73,13 +73,13 @@ class PatchStack(Sized):
 
         Parameters
         ----------
-        change : (all elements of the stack, k, k) of their matrices [S].
+        change : (all elements of the stack, k, k) change of their matrices [S].
         """
         stiffness = self._assemble(change)
         currents = stiffness @ self._extension
-        inside = self._inside(self._base + stiffness[:, self._rim :])
-        seen: Array = currents[:, : self._rim] - inside.swapaxes(1, 2) @ currents[:, self._rim :]
-        return seen
+        inverse_inside = self._inside(self._base + stiffness[:, self._rim :])
+        rim_change: Array = currents[:, : self._rim] - inverse_inside.swapaxes(1, 2) @ currents[:, self._rim :]
+        return rim_change
 
     def _inside(self, lower: Array) -> Array:
         """Minus the potentials inside for each unit potential of a rim node: (g, i, b)."""
@@ -123,13 +123,13 @@ class Patches(Sized):
 
     def __init__(self, model: ForwardModel, elements: Indices, inverse: InverseEntries, *, contacts: bool) -> None:
         members = list(split_patches(model.elements.cells[elements]))
-        rims = [find_outer_nodes(model, elements[part]) for part in members]
+        rims = [find_outer_nodes(model, elements[patch_elements]) for patch_elements in members]
         groups = list(_alike([(int(rim.sum()), int((~rim).sum())) for rim in rims]))
         patches = [
             PatchStack(model, [elements[members[k]] for k in group], [rims[k] for k in group]) for group in groups
         ]
         self._members = [np.concatenate([members[k] for k in group]) for group in groups]
-        self._matrices = [ElementChanges(model, elements[part]) for part in self._members]
+        self._matrices = [ElementChanges(model, elements[patch_elements]) for patch_elements in self._members]
         self._patches = patches
         self._contacts = ContactStack(model) if contacts else None
         self._stacks: list[PatchStack | ContactStack] = [*patches, *([self._contacts] if self._contacts else [])]
@@ -137,9 +137,9 @@ class Patches(Sized):
 
     @property
     def nbytes(self) -> int:
-        parts = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
+        part_bytes = sum(stack.nbytes for stack in self._stacks) + sum(matrices.nbytes for matrices in self._matrices)
         arrays: list[NDArray[Any]] = [*self._members, *self._own, *self._met, *self._linked]
-        return super().nbytes + parts + sum(array.nbytes for array in arrays)
+        return super().nbytes + part_bytes + sum(array.nbytes for array in arrays)
 
     def correction(self, change: Array, contact_change: Array | None) -> Array:
         """Decrease of the transfer impedance, (electrodes, electrodes) [V/A].
@@ -147,20 +147,20 @@ class Patches(Sized):
         Parameters
         ----------
         change : (k,) or (k, q, 2, 2) [S] of each element's conductance, leaving it positive.
-        contact_change : (electrodes,) of 1/z [S/mm], where contacts change too.
+        contact_change : (electrodes,) change of 1/z [S/mm], where contacts change too.
         """
-        scattered = []
-        parts = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)
-        for seen, own, met, linked in parts:
-            capacitance = seen @ own
+        stack_responses = []
+        stacks = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)
+        for rim_change, own_coupling, basis, linked in stacks:
+            capacitance = rim_change @ own_coupling
             np.einsum("gii->gi", capacitance)[:] += 1
-            answer = met.swapaxes(1, 2) @ np.linalg.solve(capacitance, seen @ met)  # of each patch alone
-            scattered.append((answer @ linked).reshape(-1, linked.shape[2]))
+            answer = basis.swapaxes(1, 2) @ np.linalg.solve(capacitance, rim_change @ basis)  # of each patch alone
+            stack_responses.append((answer @ linked).reshape(-1, linked.shape[2]))
         count = len(self._fields)
-        flat = np.concatenate(scattered)
-        between = flat[:, :count]
-        np.einsum("ii->i", between)[:] += 1
-        return self._fields.T @ np.linalg.solve(between, flat[:, count:])
+        responses = np.concatenate(stack_responses)
+        system = responses[:, :count]
+        np.einsum("ii->i", system)[:] += 1
+        return self._fields.T @ np.linalg.solve(system, responses[:, count:])
 
     def _rim_changes(self, change: Array, contact_change: Array | None) -> Iterator[Array]:
         for stack, matrices, members in zip(self._patches, self._matrices, self._members, strict=True):
@@ -173,14 +173,14 @@ class Patches(Sized):
         least = [_NEGLIGIBLE_CONTACT if contact else _NEGLIGIBLE for contact in of_contacts]
         counts = [len(stack.rims) for stack in self._stacks]
         coupling = couple(model, inverse, [rim for stack in self._stacks for rim in stack.rims], least, counts)
-        self._own = [np.stack(coupling.own[part]) for part in spans_of(counts)]
-        self._met = [np.stack(coupling.bases[part]) for part in spans_of(counts)]
+        self._own = [np.stack(coupling.own[block]) for block in spans_of(counts)]
+        self._met = [np.stack(coupling.bases[block]) for block in spans_of(counts)]
         self._fields = coupling.fields  # (sum of ranks, electrodes)
         rows = np.hstack([coupling.between, self._fields])
         ends = np.cumsum([met.shape[0] * met.shape[2] for met in self._met])[:-1]
         self._linked = [
-            part.reshape(len(met), -1, rows.shape[1])
-            for part, met in zip(np.split(rows, ends), self._met, strict=True)
+            block.reshape(len(met), -1, rows.shape[1])
+            for block, met in zip(np.split(rows, ends), self._met, strict=True)
         ]
 
 
@@ -213,11 +213,11 @@ def check_change(model: ForwardModel, elements: Indices, change: Array) -> None:
 
     NumericsError names the first such element.
     """
-    new = model.conductance_after_change(elements, change)
-    wrong = np.flatnonzero(~conducts(new))
-    if wrong.size:
+    changed = model.conductance_after_change(elements, change)
+    bad = np.flatnonzero(~conducts(changed))
+    if bad.size:
         raise NumericsError(
-            f"the change of element {elements[wrong[0]]} leaves it with a conductance of {new[wrong[0]].tolist()}"
+            f"the change of element {elements[bad[0]]} leaves it with a conductance of {changed[bad[0]].tolist()}"
             " S; it must stay a positive finite number, in every direction",
             remedy="give changes that leave it positive; for an insulator leave 1e-8 of the conductance",
         )

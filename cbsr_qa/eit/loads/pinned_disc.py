@@ -28,7 +28,7 @@ class PinnedDisc:
 
     Parameters
     ----------
-    radius_mm : of the sheet.
+    radius_mm : radius of the sheet.
     electrodes : pins anywhere inside it.
     contact_mm : contact impedance times sheet conductance [mm].
 
@@ -53,9 +53,9 @@ class PinnedDisc:
         self._scatter, self._driven = self._solve_pins()
 
     def _pole_count(self) -> int:
-        apart = np.abs(self._pins[:, None] - self._pins)
-        np.fill_diagonal(apart, np.inf)
-        ratio = self._rim / min(float(np.abs(self._images - self._pins).min()), float(apart.min()))
+        distance = np.abs(self._pins[:, None] - self._pins)
+        np.fill_diagonal(distance, np.inf)
+        ratio = self._rim / min(float(np.abs(self._images - self._pins).min()), float(distance.min()))
         if not (0 < ratio < 0.5 and (np.abs(self._pins) + self._rim < 1).all()):
             raise NumericsError(
                 f"pins of {2 * self._rim * self.radius_mm:g} mm do not lie inside the sheet, clear of each other"
@@ -96,20 +96,22 @@ class PinnedDisc:
         """Fields of currents and of the pins' poles about places, and their scales."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]
-        near = _powers(1 / (self._pins - centre[:, None]), orders + self._poles)
-        far = _powers(1 / (self._images - centre[:, None]), orders + self._poles)
-        poles = self._fields_of_poles(near, far, orders) * scale
-        logs = (near + far)[..., :orders].transpose(0, 2, 1) / (2 * np.pi * np.arange(1, orders + 1)[:, None])
+        pin_powers = _powers(1 / (self._pins - centre[:, None]), orders + self._poles)
+        image_powers = _powers(1 / (self._images - centre[:, None]), orders + self._poles)
+        poles = self._fields_of_poles(pin_powers, image_powers, orders) * scale
+        logs = (pin_powers + image_powers)[..., :orders].transpose(0, 2, 1) / (
+            2 * np.pi * np.arange(1, orders + 1)[:, None]
+        )
         return _stack_parts(logs) * scale + poles @ self._driven, poles, scale
 
     def transfer_impedance(self) -> Array:
         """Electrode potentials per electrode current, (electrodes, electrodes) [Ω], with ΣI = ΣU = 0."""
-        apart = self._pins[:, None] - self._pins
-        np.fill_diagonal(apart, 1)
-        impedance = -np.log(np.abs(apart) * np.abs(1 - self._pins[:, None] * self._pins.conj())) / (2 * np.pi)
+        separation = self._pins[:, None] - self._pins
+        np.fill_diagonal(separation, 1)
+        impedance = -np.log(np.abs(separation) * np.abs(1 - self._pins[:, None] * self._pins.conj())) / (2 * np.pi)
         impedance += np.eye(len(self._pins)) * (self._impedance - log(self._rim)) / (2 * np.pi)
-        np.fill_diagonal(apart, np.inf)
-        direct = _powers(1 / apart, self._poles)
+        np.fill_diagonal(separation, np.inf)
+        direct = _powers(1 / separation, self._poles)
         image = _powers(self._pins[:, None] / (1 - self._pins[:, None] * self._pins.conj()), self._poles)
         direct, image = (values.reshape(len(values), -1) for values in (direct, image))
         from_poles = np.concatenate([(direct + image).real, (image - direct).imag], axis=1)
@@ -125,15 +127,15 @@ class PinnedDisc:
 
         ``near``, ``far`` : (n, pins, powers) of one over the way to each pin, and to its image.
         """
-        which = np.arange(orders)[:, None] + np.arange(1, self._poles + 1)  # power m + n of pole n, from 0
+        powers = np.arange(orders)[:, None] + np.arange(1, self._poles + 1)  # power m + n of pole n, from 0
         factor = np.array(
             [[comb(n + m - 1, m) * (-1) ** n for n in range(1, self._poles + 1)] for m in range(1, orders + 1)]
         )
-        own = (near[..., which] * factor).transpose(0, 2, 1, 3)  # (n, orders, pins, poles)
-        mirrored = ((far[..., which] * factor) @ self._mirror).transpose(0, 2, 1, 3)
-        shape = (*own.shape[:2], -1)
-        own, mirrored = own.reshape(shape), mirrored.reshape(shape)
-        total, difference = own + mirrored, own - mirrored
+        pole_fields = (near[..., powers] * factor).transpose(0, 2, 1, 3)  # (n, orders, pins, poles)
+        image_fields = ((far[..., powers] * factor) @ self._mirror).transpose(0, 2, 1, 3)
+        shape = (*pole_fields.shape[:2], -1)
+        pole_fields, image_fields = pole_fields.reshape(shape), image_fields.reshape(shape)
+        total, difference = pole_fields + image_fields, pole_fields - image_fields
         upper = np.concatenate([total.real, -difference.imag], axis=2)
         lower = np.concatenate([total.imag, difference.real], axis=2)
         return np.concatenate([upper, lower], axis=1)
@@ -146,20 +148,20 @@ class PinnedDisc:
         """
         count, order = len(self._pins), np.arange(1, self._poles + 1)
         strength = -(self._rim ** (2 * order)) * (1 - self._impedance * order) / (1 + self._impedance * order)
-        between, from_currents = self._pins_on_pins()
+        pin_coupling, from_currents = self._pins_on_pins()
         mirror = np.concatenate([np.tile(strength, count), -np.tile(strength, count)])[:, None]  # conjugates
-        scatter = np.linalg.solve(np.eye(len(mirror)) - mirror * between, np.diag(mirror[:, 0]))
+        scatter = np.linalg.solve(np.eye(len(mirror)) - mirror * pin_coupling, np.diag(mirror[:, 0]))
         signs = np.concatenate([np.tile(1 / order, count), -np.tile(1 / order, count)])
         return scatter * signs, scatter @ from_currents
 
     def _pins_on_pins(self) -> tuple[Array, Array]:
         """Fields about each pin of the others' poles and of all images, (2K, 2K), and of currents, (2K, pins)."""
-        apart = self._pins - self._pins[:, None]  # (about, of)
-        np.fill_diagonal(apart, np.inf)  # a pin is not in its own direct field
-        near = _powers(1 / apart, 2 * self._poles)
-        far = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
-        poles = self._fields_of_poles(near, far, self._poles)
-        logs = (near + far)[..., : self._poles].transpose(0, 2, 1)
+        separation = self._pins - self._pins[:, None]  # (about, of)
+        np.fill_diagonal(separation, np.inf)  # a pin is not in its own direct field
+        pin_powers = _powers(1 / separation, 2 * self._poles)
+        image_powers = _powers(1 / (self._images - self._pins[:, None]), 2 * self._poles)
+        poles = self._fields_of_poles(pin_powers, image_powers, self._poles)
+        logs = (pin_powers + image_powers)[..., : self._poles].transpose(0, 2, 1)
         currents = _stack_parts(logs / (2 * np.pi * np.arange(1, self._poles + 1)[:, None]))
         return tuple(  # type: ignore[return-value]
             values.reshape(len(values), 2, self._poles, -1).swapaxes(0, 1).reshape(-1, values.shape[-1])
@@ -208,6 +210,6 @@ def _edge_reflection(centre: Complex, orders: int) -> Array:
     rising = choose[1:, 1:] * lower
     falling = choose[:-1, :-1] * lower.conj()
     size = _powers(gap**-2, orders)
-    sent = (falling * size[:, None]) @ rising.transpose(0, 2, 1)  # (m, n)
-    upper = np.concatenate([sent.real, -sent.imag], axis=2)
-    return np.concatenate([upper, np.concatenate([sent.imag, sent.real], axis=2)], axis=1)
+    transfer = (falling * size[:, None]) @ rising.transpose(0, 2, 1)  # (m, n)
+    upper = np.concatenate([transfer.real, -transfer.imag], axis=2)
+    return np.concatenate([upper, np.concatenate([transfer.imag, transfer.real], axis=2)], axis=1)

@@ -11,7 +11,7 @@ from scipy.sparse.csgraph import connected_components
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.eit.forward.model import ForwardModel
 
-#: Most nodes kept: 2048² entries are 34 MB, and suffice for some seventy heads on a mesh of 2.5 mm.
+#: Largest number of nodes kept: 2048² entries are 34 MB, and suffice for some seventy heads on a mesh of 2.5 mm.
 MOST_NODES: Final = 2048
 _AT_ONCE: Final = 16  # nodes solved for together: few enough for their full columns to stay in the cache
 
@@ -31,11 +31,11 @@ class InverseEntries:
 
     def entries(self, nodes: Indices) -> Array:
         """Return the entries between distinct nodes (p,): (p, p) [V/A]."""
-        missing = self._missing(nodes)
-        self._reserve(missing)
-        for first in range(0, len(missing), _AT_ONCE):
-            part = missing[first : first + _AT_ONCE]
-            self._keep(part, self._columns(part))
+        new_nodes = self._missing(nodes)
+        self._reserve(new_nodes)
+        for begin in range(0, len(new_nodes), _AT_ONCE):
+            chunk = new_nodes[begin : begin + _AT_ONCE]
+            self._keep(chunk, self._columns(chunk))
         place = self._place[nodes]
         return self._entries[np.ix_(place, place)]
 
@@ -44,32 +44,32 @@ class InverseEntries:
 
         Identical to the last bit, independent of earlier calls, unlike :meth:`between`.
         """
-        missing = self._missing(nodes)
-        self._reserve(missing)
+        new_nodes = self._missing(nodes)
+        self._reserve(new_nodes)
         entries = np.empty((len(nodes), len(nodes)))
-        for first in range(0, len(nodes), _AT_ONCE):
-            here = slice(first, first + _AT_ONCE)
-            columns = self._columns(nodes[here])
-            entries[:, here] = columns[nodes]
-            new = np.isin(nodes[here], missing)
-            self._keep(nodes[here][new], columns[:, new])
+        for begin in range(0, len(nodes), _AT_ONCE):
+            chunk = slice(begin, begin + _AT_ONCE)
+            columns = self._columns(nodes[chunk])
+            entries[:, chunk] = columns[nodes]
+            is_new = np.isin(nodes[chunk], new_nodes)
+            self._keep(nodes[chunk][is_new], columns[:, is_new])
         return entries
 
     def _missing(self, nodes: Indices) -> Indices:
         """Unknown ones among these nodes; all if the known ones had to be discarded."""
-        missing = nodes[self._place[nodes] < 0]
-        if missing.size and len(self._known) + missing.size > MOST_NODES:
+        new_nodes = nodes[self._place[nodes] < 0]
+        if new_nodes.size and len(self._known) + new_nodes.size > MOST_NODES:
             self._place[self._known] = -1
             self._known = self._known[:0]
             self._entries = np.empty((0, 0))
             return nodes
-        return missing
+        return new_nodes
 
     def _reserve(self, nodes: Indices) -> None:
-        before, after = len(self._known), len(self._known) + len(nodes)
+        old_count, new_count = len(self._known), len(self._known) + len(nodes)
         self._known = np.concatenate([self._known, nodes])
-        self._place[nodes] = np.arange(before, after)
-        self._make_room(before, after)
+        self._place[nodes] = np.arange(old_count, new_count)
+        self._make_room(old_count, new_count)
 
     def _columns(self, nodes: Indices) -> Array:
         load = np.zeros((len(self._place), len(nodes)))
@@ -78,17 +78,17 @@ class InverseEntries:
 
     def _keep(self, nodes: Indices, columns: Array) -> None:
         """Store the entries of columns between all nodes known so far."""
-        count, here = len(self._known), self._place[nodes]
-        self._entries[:count, here] = columns[self._known]
-        self._entries[here, :count] = columns[self._known].T
+        count, places = len(self._known), self._place[nodes]
+        self._entries[:count, places] = columns[self._known]
+        self._entries[places, :count] = columns[self._known].T
 
     def _make_room(self, used: int, needed: int) -> None:
         if needed <= len(self._entries):
             return
         size = max(needed, min(2 * len(self._entries), MOST_NODES))
-        grown = np.zeros((size, size))
-        grown[:used, :used] = self._entries[:used, :used]
-        self._entries = grown
+        larger_entries = np.zeros((size, size))
+        larger_entries[:used, :used] = self._entries[:used, :used]
+        self._entries = larger_entries
 
 
 def find_outer_nodes(model: ForwardModel, elements: Indices) -> Mask:
@@ -121,27 +121,29 @@ def couple_rims(
 ) -> tuple[Array, Array]:
     """K₀⁻¹ between all rims and the electrodes' fields there, without their means on each rim; 0 in the padding."""
     nodes = np.concatenate(rims)
-    real = nodes >= 0
-    between = np.zeros((len(nodes), len(nodes)))
-    each, place = np.unique(nodes[real], return_inverse=True)  # adjacent patches share nodes of their rims
-    between[np.ix_(real, real)] = inverse.entries(each)[np.ix_(place, place)]
+    is_real = nodes >= 0
+    coupling = np.zeros((len(nodes), len(nodes)))
+    distinct_nodes, place = np.unique(
+        nodes[is_real], return_inverse=True
+    )  # adjacent patches share nodes of their rims
+    coupling[np.ix_(is_real, is_real)] = inverse.entries(distinct_nodes)[np.ix_(place, place)]
     fields = np.zeros((len(nodes), len(model.contact_impedance)))
-    fields[real] = model.electrode_fields[nodes[real]]
+    fields[is_real] = model.electrode_fields[nodes[is_real]]
     for span in spans:
-        use = real[span].astype(np.float64)
-        mean = use / use.sum()
-        fields[span] -= np.outer(use, mean @ fields[span])
-        between[span] -= np.outer(use, mean @ between[span])
-        between[:, span] -= np.outer(between[:, span] @ mean, use)
-    return between, fields
+        is_node = is_real[span].astype(np.float64)
+        mean = is_node / is_node.sum()
+        fields[span] -= np.outer(is_node, mean @ fields[span])
+        coupling[span] -= np.outer(is_node, mean @ coupling[span])
+        coupling[:, span] -= np.outer(coupling[:, span] @ mean, is_node)
+    return coupling, fields
 
 
 def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
     """K₀⁻¹ between the nodes of one rim, without its means; independent of earlier loads."""
-    own = inverse.alone(rim)
-    own -= own.mean(axis=0)
-    own -= own.mean(axis=1)[:, None]
-    return own
+    coupling = inverse.alone(rim)
+    coupling -= coupling.mean(axis=0)
+    coupling -= coupling.mean(axis=1)[:, None]
+    return coupling
 
 
 def truncate_fields(between: Array, fields: Array, spans: Sequence[slice], least: Sequence[float]) -> list[Array]:
@@ -169,9 +171,9 @@ class Coupling:
     Parameters
     ----------
     own : K₀⁻¹ on each rim, without its means: (b, b) each.
-    bases : of the fields at each rim: (b, r) each.
+    bases : basis of the fields at each rim: (b, r) each.
     between : K₀⁻¹ between different rims in these: (sum of ranks,) * 2.
-    fields : of the electrodes in these: (sum of ranks, electrodes).
+    fields : fields of the electrodes in these bases: (sum of ranks, electrodes).
     """
 
     own: list[Array]
@@ -196,14 +198,14 @@ def couple(
     stacks : numbers of successive rims whose bases are padded to one rank.
     """
     spans = spans_of([len(rim) for rim in rims])
-    between, fields = couple_rims(model, inverse, rims, spans)
-    own = [between[span, span].copy() for span in spans]
+    coupling, fields = couple_rims(model, inverse, rims, spans)
+    own_couplings = [coupling[span, span].copy() for span in spans]
     for span in spans:
-        between[span, span] = 0
-    met = truncate_fields(between, fields, spans, least)
-    bases = [basis for part in spans_of(stacks) for basis in pad_bases(met[part])]
+        coupling[span, span] = 0
+    field_bases = truncate_fields(coupling, fields, spans, least)
+    bases = [basis for stack_span in spans_of(stacks) for basis in pad_bases(field_bases[stack_span])]
     places = spans_of([basis.shape[1] for basis in bases])
-    whole = np.zeros((len(fields), places[-1].stop))
+    basis_matrix = np.zeros((len(fields), places[-1].stop))
     for span, place, basis in zip(spans, places, bases, strict=True):
-        whole[span, place] = basis
-    return Coupling(own, bases, whole.T @ between @ whole, whole.T @ fields)
+        basis_matrix[span, place] = basis
+    return Coupling(own_couplings, bases, basis_matrix.T @ coupling @ basis_matrix, basis_matrix.T @ fields)

@@ -144,8 +144,8 @@ class RoundLoadModel:
         around = self.surroundings.expansion(loads.place_mm, reach, orders)
         strength = (loads.strength_mm2 / reach**2)[:, None]
         poles = np.tile(strength * growth, 2)  # D_m, for both real and imaginary parts
-        seen = _solve_fields(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
-        drive, measure = seen @ self._drive, seen @ self._measure
+        pole_fields = _solve_fields(around.response * poles[:, None] + np.eye(2 * orders), around.fields)
+        drive, measure = pole_fields @ self._drive, pole_fields @ self._measure
         weight = -2 * np.pi * np.tile(order, 2)
         change = _gram(around.fields @ self._drive, weight * poles, measure)
         less = np.concatenate([np.zeros_like(strength), growth[:, :-1]], axis=1) * (order - 1)
@@ -166,15 +166,15 @@ class RoundLoadModel:
         return _gram(fields @ self._drive, weight, fields @ self._measure)
 
     def _check(self, loads: RoundLoads) -> None:
-        each = np.column_stack([loads.place_mm, loads.strength_mm2, loads.square_mm2])
-        if not np.isfinite(each).all():
+        load_rows = np.column_stack([loads.place_mm, loads.strength_mm2, loads.square_mm2])
+        if not np.isfinite(load_rows).all():
             raise NumericsError(
                 "a load's place, strength or size is not a finite number",
                 remedy="for a perfect conductor use the squared radius as strength",
             )
-        outside = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
-        if outside.size:
-            x_mm, y_mm = loads.place_mm[outside[0]].tolist()
+        bad_loads = np.flatnonzero(self.surroundings.clearance_mm(loads.place_mm) <= 0)
+        if bad_loads.size:
+            x_mm, y_mm = loads.place_mm[bad_loads[0]].tolist()
             raise NumericsError(
                 f"a load at ({x_mm:g}, {y_mm:g}) mm has its centre on an electrode or off the sheet: its field has no"
                 " power series",
@@ -186,8 +186,8 @@ class RoundLoadModel:
         reach = np.maximum(np.sqrt(np.abs(loads.square_mm2)), _SMALLEST_REACH * self.surroundings.radius_mm)
         clearance = self.surroundings.clearance_mm(loads.place_mm)
         ratio = float((reach / np.maximum(clearance, reach * 1.05)).max(initial=0.0))
-        needed = ceil(log(_ERROR) / (2 * log(ratio))) + 1 if ratio > 0 else _FEWEST
-        order = np.arange(1, int(np.clip(needed, _FEWEST, _MOST)) + 1)
+        order_count = ceil(log(_ERROR) / (2 * log(ratio))) + 1 if ratio > 0 else _FEWEST
+        order = np.arange(1, int(np.clip(order_count, _FEWEST, _MOST)) + 1)
         return reach, order, (loads.square_mm2 / reach**2)[:, None] ** (order - 1)
 
 
@@ -208,8 +208,8 @@ def _gram(drive: Array, weight: NDArray[np.floating[Any]], measure: Array) -> Ar
 def _place_slopes(drive: Array, step: Array, measure: Array) -> tuple[Array, Array]:
     """Slopes along x and y: Re(v (A_{m+1} conj A'_m + A'_{m+1} conj A_m)) summed with weights, v = 1 and i."""
     orders = step.shape[1] + 1
-    parts = [values[:, block] for values in (drive, measure) for block in (slice(0, orders), slice(orders, None))]
-    dr, di, mr, mi = ((values[:, :-1], values[:, 1:]) for values in parts)  # (lower, upper) orders
+    blocks = [values[:, block] for values in (drive, measure) for block in (slice(0, orders), slice(orders, None))]
+    dr, di, mr, mi = ((values[:, :-1], values[:, 1:]) for values in blocks)  # (lower, upper) orders
     by_x = _gram(dr[1], step, mr[0]) + _gram(di[1], step, mi[0])
     by_x += _gram(dr[0], step, mr[1]) + _gram(di[0], step, mi[1])
     by_y = _gram(dr[1], step, mi[0]) - _gram(di[1], step, mr[0])

@@ -35,8 +35,8 @@ class LinkedPatches:
     Parameters
     ----------
     inverse : gives K₀⁻¹ between nodes of the rims.
-    patches : of the loads; shared nodes are on both rims.
-    contacts : if contacts change too; no load may then touch one.
+    patches : patches of the loads; shared nodes are on both rims.
+    contacts : True if contacts change too; no load may then touch one.
     """
 
     def __init__(
@@ -60,8 +60,8 @@ class LinkedPatches:
     def nbytes(self) -> int:
         """Memory it takes beside its patches."""
         eliminated = self._eliminated[1] if self._eliminated else ()
-        kept = [*self._bases, *self._contact_bases, self._between, self._fields, self._series, self._contact_own]
-        return sum(array.nbytes for array in [*kept, *eliminated])
+        arrays = [*self._bases, *self._contact_bases, self._between, self._fields, self._series, self._contact_own]
+        return sum(array.nbytes for array in [*arrays, *eliminated])
 
     def corrections(self, loads: Sequence[Mapping[LoadFamily, float]], contact_change: Array | None) -> Array:
         """Decrease of the transfer impedance, at several moments: (moments, electrodes, electrodes) [V/A].
@@ -72,32 +72,37 @@ class LinkedPatches:
         Parameters
         ----------
         loads : strength of every load of the patches, at each moment.
-        contact_change : (electrodes,) of 1/z [S/mm], if contacts change too, the same at all moments.
+        contact_change : (electrodes,) change of 1/z [S/mm], if contacts change too, the same at all moments.
         """
-        between, fields, lost = self._split_off_contacts(contact_change)
+        coupling, fields, contact_correction = self._split_off_contacts(contact_change)
         if not self._patches:
-            return np.repeat(lost[None], len(loads), axis=0)
+            return np.repeat(contact_correction[None], len(loads), axis=0)
         answers = np.array([self._answers(moment) for moment in loads])
-        system = _times(answers[0], between)
+        system = _times(answers[0], coupling)
         np.einsum("ii->i", system)[:] += 1
-        sent = np.linalg.solve(system, _times(answers[0], fields))
-        met = fields - between @ sent
-        corrections = [lost + fields.T @ sent]
-        for more in answers[1:] - answers[0]:
-            added = _times(more, met)
-            felt = between @ added
-            corrections.append(corrections[0] + met.T @ added - added.T @ felt + felt.T @ _times(answers[0], felt))
+        scattered = np.linalg.solve(system, _times(answers[0], fields))
+        incident = fields - coupling @ scattered
+        corrections = [contact_correction + fields.T @ scattered]
+        for answer_change in answers[1:] - answers[0]:
+            added_scattering = _times(answer_change, incident)
+            coupled_scattering = coupling @ added_scattering
+            corrections.append(
+                corrections[0]
+                + incident.T @ added_scattering
+                - added_scattering.T @ coupled_scattering
+                + coupled_scattering.T @ _times(answers[0], coupled_scattering)
+            )
         return np.array(corrections)
 
     def _answers(self, loads: Mapping[LoadFamily, float]) -> Array:
         """Response of each patch to the fields it sees: (patches, rank, rank)."""
-        single = np.array([loads[patch.families[0]] if patch.series else np.inf for patch in self._patches])
-        within = np.abs(single) <= self._reach
-        strengths = np.where(within, single, 0.0)
+        single_strengths = np.array([loads[patch.families[0]] if patch.series else np.inf for patch in self._patches])
+        is_within_reach = np.abs(single_strengths) <= self._reach
+        strengths = np.where(is_within_reach, single_strengths, 0.0)
         terms = polynomials(strengths / np.where(self._reach > 0, self._reach, 1.0)) * strengths[:, None]
         rank = self._bases[0].shape[1]
         answers: Array = (terms[:, None, :] @ self._series).reshape(-1, rank, rank)
-        for number in np.flatnonzero(~within):
+        for number in np.flatnonzero(~is_within_reach):
             patch, basis = self._patches[number], self._bases[number]
             answers[number] = basis.T @ patch.answer([loads[family] for family in patch.families]) @ basis
         return answers
@@ -187,15 +192,15 @@ class LoadedSheet:
         NumericsError
             If an element is left without conductance, or a contact impedance is not a positive finite number.
         """
-        before = self.model.transfer_impedance
-        contact_change, own = self._local.contact_change(contact_impedance)
+        unloaded = self.model.transfer_impedance
+        contact_change, own_change = self._local.contact_change(contact_impedance)
         if not loads[0] and contact_change is None:
-            return np.repeat(before[None], len(loads), axis=0)
+            return np.repeat(unloaded[None], len(loads), axis=0)
         link = self._link(tuple(loads[0]), contact_change is not None)
         if link is None:
             changes = (_multi_load(self.model, moment) for moment in loads)
             return np.array([self._local.transfer_impedance(*change, contact_impedance) for change in changes])
-        return before + own - link.corrections(loads, contact_change)
+        return unloaded + own_change - link.corrections(loads, contact_change)
 
     def _link(self, families: tuple[LoadFamily, ...], contacts: bool) -> LinkedPatches | None:
         """Coupling of some loads, or None if the local update must be used."""
@@ -229,12 +234,12 @@ class LoadedSheet:
 def _make_room(kept: "OrderedDict[Hashable, Kept]", most: int) -> None:
     """Discard those unused for longest, until number and memory are within the limits."""
     sizes = [item.nbytes if item is not None else 0 for item in kept.values()]
-    used = sum(sizes)
+    used_bytes = sum(sizes)
     for size in sizes:
-        if len(kept) < most and used < _MOST_BYTES:
+        if len(kept) < most and used_bytes < _MOST_BYTES:
             break
         kept.popitem(last=False)
-        used -= size
+        used_bytes -= size
 
 
 def _overlapping(families: Sequence[LoadFamily]) -> list[tuple[LoadFamily, ...]]:

@@ -53,7 +53,7 @@ def smooth_lengths(size: float, radius: float, power: float = _SMOOTH_POWER) -> 
 
     Parameters
     ----------
-    power : of the distance; 1 − λ/3 at a corner with a field ∝ r^λ.
+    power : exponent of the distance; 1 − λ/3 at a corner with a field ∝ r^λ.
     """
     scale = size / (_SMOOTH_SIZE * radius)
     slope = _SMOOTH_STEEPEST * min(1.0, scale)
@@ -104,13 +104,13 @@ def spread(density: Lengths, places: Lengths, *, at_least: int) -> Lengths:
 
 
 _ACROSS: Final = 2.5  # elements across a narrow place, at least
-#: Two places on the edge face each other if the way along it is this many times the straight distance.
+#: Ratio of the way along the edge to the straight distance above which two places face each other.
 _DETOUR: Final = 4.0
 _TURN_PER_EDGE: Final = np.pi / 3  # of a rounded corner, at most
 _SHORT_ARC: Final = 0.6  # of the elements: shorter arcs have one node
 _SHORT_EDGE: Final = 0.45  # of the elements: round shorter edges they are smaller
 _ON_CORNER: Final = 0.01  # of a strip's width: ends closer to a corner lie on it
-#: Where sizes are evaluated along a stretch: dense at its ends, where they may be far smaller.
+#: Places along a stretch at which sizes are evaluated: dense at its ends, where they may be far smaller.
 _SAMPLES: Final = np.unique(
     np.concatenate([np.linspace(0, 1, 401), np.geomspace(1e-6, 0.1, 200), 1 - np.geomspace(1e-6, 0.1, 200)])
 )
@@ -134,7 +134,7 @@ class SizeField:
     ----------
     size : far from such places.
     slope : growth of the edge length per distance from a narrow place.
-    sources : where the field is singular.
+    sources : places where the field is singular.
     narrow, across : (w, 2), (w,) places on the edge and the edge length there.
     """
 
@@ -152,8 +152,8 @@ class SizeField:
             np.minimum(sizes, source.grade(source.finest, away), out=sizes)
         if len(self.narrow):
             count = min(4, len(self.narrow))
-            away, which = cKDTree(self.narrow).query(points, k=range(1, count + 1))
-            np.minimum(sizes, (self.across[which] + self.slope * away).min(axis=1), out=sizes)
+            away, nearest = cKDTree(self.narrow).query(points, k=range(1, count + 1))
+            np.minimum(sizes, (self.across[nearest] + self.slope * away).min(axis=1), out=sizes)
         return sizes
 
     def with_narrow(self, places: Points, across: Lengths) -> "SizeField":
@@ -168,19 +168,19 @@ def narrow_places(curve: ClosedCurve, size: float) -> tuple[Points, Lengths]:
     (w, 2) places on the edge, and (w,) the edge length that fits, not below ``size`` times :data:`FINEST`.
     """
     count = min(max(int(np.ceil(4 * curve.perimeter / size)), 16), 4000)
-    along = curve.perimeter * np.arange(count) / count
-    points = curve.points_at(along)
+    positions = curve.perimeter * np.arange(count) / count
+    points = curve.points_at(positions)
     pairs = cKDTree(points).query_pairs(_ACROSS * size, output_type="ndarray")
-    between = np.abs(along[pairs[:, 0]] - along[pairs[:, 1]])
-    between = np.minimum(between, curve.perimeter - between)
-    straight = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
-    facing = between > _DETOUR * straight
+    path_lengths = np.abs(positions[pairs[:, 0]] - positions[pairs[:, 1]])
+    path_lengths = np.minimum(path_lengths, curve.perimeter - path_lengths)
+    distances = np.hypot(*(points[pairs[:, 0]] - points[pairs[:, 1]]).T)
+    is_facing = path_lengths > _DETOUR * distances
     width = np.full(count, np.inf)
     for end in (0, 1):
-        np.minimum.at(width, pairs[facing, end], straight[facing])
-    across = np.maximum(width / _ACROSS, FINEST * size)
-    narrow = across < size
-    return points[narrow], across[narrow]
+        np.minimum.at(width, pairs[is_facing, end], distances[is_facing])
+    sizes_across = np.maximum(width / _ACROSS, FINEST * size)
+    is_narrow = sizes_across < size
+    return points[is_narrow], sizes_across[is_narrow]
 
 
 def singular_corners(curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
@@ -225,8 +225,8 @@ def find_fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: f
         away = np.abs(stops - corner)
         stops[np.minimum(away, curve.perimeter - away) < _ON_CORNER * width] = corner
     places = np.unique(np.concatenate([corners, stops]))
-    apart = np.diff(np.append(places, places[0] + curve.perimeter))
-    return places[np.roll(apart, 1) > 1e-9 * curve.perimeter]
+    gaps = np.diff(np.append(places, places[0] + curve.perimeter))
+    return places[np.roll(gaps, 1) > 1e-9 * curve.perimeter]
 
 
 def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
@@ -257,10 +257,10 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
         if owner >= 0:
             least = max(least, int(np.ceil(fewest * (end - begin) / width - 0.2)))
         places = begin + _SAMPLES * (end - begin)
-        chosen = _spread(1 / sizes(curve.points_at(places)), places, least)[:-1]
-        points.append(curve.points_at(chosen))
-        owners += [owner] * len(chosen)
-        pieces += [piece] * len(chosen)
+        stretch_nodes = _spread(1 / sizes(curve.points_at(places)), places, least)[:-1]
+        points.append(curve.points_at(stretch_nodes))
+        owners += [owner] * len(stretch_nodes)
+        pieces += [piece] * len(stretch_nodes)
     edges = ring_edges(len(owners))
     of_strip, of_piece = np.array(owners), np.array(pieces)
     arcs = [
@@ -280,10 +280,10 @@ def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
 
 def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
     """The piece that a stretch lies on; −1 if it crosses from one to the next."""
-    along = (begin + end) / 2 % curve.perimeter
-    piece = int(np.searchsorted(curve.begins, along, side="right")) - 1
-    whole = end - begin <= 2 * min(along - curve.begins[piece], curve.begins[piece + 1] - along) * (1 + 1e-9)
-    return piece if whole else -1
+    middle = (begin + end) / 2 % curve.perimeter
+    piece = int(np.searchsorted(curve.begins, middle, side="right")) - 1
+    is_within = end - begin <= 2 * min(middle - curve.begins[piece], curve.begins[piece + 1] - middle) * (1 + 1e-9)
+    return piece if is_within else -1
 
 
 def _centre(curve: ClosedCurve, piece: int) -> tuple[float, float]:

@@ -27,7 +27,7 @@ from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.foreign import open_foreign
 from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
-#: More than any mesh of a sheet; files that claim more are refused before memory is allocated.
+#: Largest size of a mesh file; files that claim more are refused before memory is allocated.
 LARGEST_BYTES: Final = 200_000_000
 #: Name of a group of lines that represents an electrode, with its number.
 _ELECTRODE: Final = re.compile(r"electrode[-_ ]?(\d+)", re.IGNORECASE)
@@ -50,8 +50,8 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
     Parameters
     ----------
     path : ``.npz`` with ``nodes_mm`` and ``elements`` (from 0), or any other format for meshio [mm].
-    electrodes : as there; by default ``electrode_edges`` and ``electrode_edge_counts`` of an ``.npz``, groups of
-        lines called "electrode 0", "electrode 1" and so on of another.
+    electrodes : electrodes, described as there; by default ``electrode_edges`` and ``electrode_edge_counts`` of an
+        ``.npz``, groups of lines called "electrode 0", "electrode 1" and so on of another.
     fix : reverse clockwise elements and leave out unused nodes.
 
     Raises
@@ -60,12 +60,12 @@ def read_mesh(path: Path, electrodes: Sequence[ElectrodeGiven] | None = None, *,
         If the file is missing or not a mesh, takes more than the limits of
         :func:`~cbsr_qa.system.untrusted.read_untrusted`, meshio is needed and not installed, or the mesh is refused.
     """
-    read = partial(_read, path, electrodes, fix=fix)
+    reader = partial(_read, path, electrodes, fix=fix)
     if path.suffix == ".npz":
-        return read_untrusted(path, read, refusal=NumericsError)
+        return read_untrusted(path, reader, refusal=NumericsError)
     _meshio(path.suffix)
     # numpy.fromfile duplicates the file that meshio has open
-    return read_untrusted(path, read, refusal=NumericsError, open_files=2, modules=("meshio",))
+    return read_untrusted(path, reader, refusal=NumericsError, open_files=2, modules=("meshio",))
 
 
 def _read(path: Path, electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool) -> Mesh:
@@ -105,10 +105,11 @@ def _npz(stream: BinaryIO) -> dict[str, NDArray[Any]]:
 def _check_arrays(
     arrays: Mapping[str, NDArray[Any]], electrodes: Sequence[ElectrodeGiven] | None, *, fix: bool
 ) -> Mesh:
-    missing = [name for name in ("nodes_mm", "elements") if name not in arrays]
-    if missing:
+    missing_arrays = [name for name in ("nodes_mm", "elements") if name not in arrays]
+    if missing_arrays:
         raise NumericsError(
-            f"it has no array {missing[0]}", remedy="write it with write_mesh, or with arrays nodes_mm and elements"
+            f"it has no array {missing_arrays[0]}",
+            remedy="write it with write_mesh, or with arrays nodes_mm and elements",
         )
     if electrodes is not None or "electrode_edges" not in arrays:
         return import_mesh(arrays["nodes_mm"], arrays["elements"], electrodes or (), fix=fix)
@@ -211,14 +212,14 @@ def outer_ring(mesh: Mesh) -> Indices:
 
 def leave_out_holes(image: Mesh, sheet: Mesh) -> Mesh:
     """Leave out elements of an image's mesh that lie in a hole of the sheet's, with all their corners."""
-    inside = np.zeros(len(image.elements), dtype=np.bool_)
+    is_inside = np.zeros(len(image.elements), dtype=np.bool_)
     for ring in _rings(sheet):
         corners = sheet.nodes_mm[ring]
         if shoelace_area(corners) < 0:
             nodes = inside_polygon(image.nodes_mm, corners)
-            inside |= nodes[image.elements].all(axis=1) & inside_polygon(image.centroids_mm, corners)
-    used, elements = np.unique(image.elements[~inside], return_inverse=True)
-    return Mesh(image.nodes_mm[used], elements.reshape(-1, 3).astype(np.int64))
+            is_inside |= nodes[image.elements].all(axis=1) & inside_polygon(image.centroids_mm, corners)
+    used_nodes, elements = np.unique(image.elements[~is_inside], return_inverse=True)
+    return Mesh(image.nodes_mm[used_nodes], elements.reshape(-1, 3).astype(np.int64))
 
 
 def _rings(mesh: Mesh) -> list[Indices]:

@@ -33,10 +33,10 @@ def plane_points(nodes_mm: ArrayLike) -> Points:
             f"nodes of shape {points.shape} are not at least three places (x, y) in a plane",
             remedy="give an array (n, 2) of places in millimetres",
         )
-    wrong = np.flatnonzero(~np.isfinite(points).all(axis=1))
-    if wrong.size:
+    bad_nodes = np.flatnonzero(~np.isfinite(points).all(axis=1))
+    if bad_nodes.size:
         raise NumericsError(
-            f"node {wrong[0]} (one of {wrong.size} such) has a non-finite position",
+            f"node {bad_nodes[0]} (one of {bad_nodes.size} such) has a non-finite position",
             remedy="correct it, or leave it and its elements out",
         )
     farthest, extent = float(np.abs(points).max()), float(np.ptp(points, axis=0).max())
@@ -53,11 +53,11 @@ def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indic
     """Return rows of nodes as int64: ``tail`` is () for single ones, (2,) for edges, (3,) for triangles."""
     array = array_of(numbers, what)
     counted = array.dtype.kind == "f" and bool(((array == np.floor(array)) & (np.abs(array) < 2**53)).all())
-    whole = array.dtype.kind in "iu" or counted
-    if not whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
-        wanted = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
+    is_whole = array.dtype.kind in "iu" or counted
+    if not is_whole or array.ndim != 1 + len(tail) or array.shape[1:] != tail or not len(array):
+        form = {(): "a list of nodes", (2,): "rows of two nodes", (3,): "rows of three nodes"}[tail]
         raise NumericsError(
-            f"{what} of shape {array.shape} and type {array.dtype}; {wanted} are needed, by number",
+            f"{what} of shape {array.shape} and type {array.dtype}; {form} are needed, by number",
             remedy="give whole numbers, one row after another",
         )
     return array.astype(np.int64)
@@ -65,23 +65,23 @@ def whole_numbers(numbers: ArrayLike, what: str, tail: tuple[int, ...]) -> Indic
 
 def check_range(numbers: Indices, count: int, first: int, what: str) -> None:
     """Refuse rows with nodes that do not exist."""
-    wrong = np.flatnonzero(~((numbers >= 0) & (numbers < count)).reshape(len(numbers), -1).all(axis=1))
-    if wrong.size:
-        row = (numbers[wrong[0]] + first).tolist()
-        counted = "first=1" if first == 0 else "first=0"
+    bad_rows = np.flatnonzero(~((numbers >= 0) & (numbers < count)).reshape(len(numbers), -1).all(axis=1))
+    if bad_rows.size:
+        numbers_given = (numbers[bad_rows[0]] + first).tolist()
+        option = "first=1" if first == 0 else "first=0"
         raise NumericsError(
-            f"{what} {wrong[0]} names nodes {row}; nodes are numbered {first} to {count - 1 + first}",
-            remedy=f"if nodes are counted from {1 - first}, say {counted}",
+            f"{what} {bad_rows[0]} names nodes {numbers_given}; nodes are numbered {first} to {count - 1 + first}",
+            remedy=f"if nodes are counted from {1 - first}, say {option}",
         )
 
 
 def check_doubled(points: Points, corners: Indices) -> None:
     """Refuse coinciding nodes among those that elements use."""
     size = float(np.ptp(points, axis=0).max())
-    used = np.unique(corners)
-    pairs = cKDTree(points[used]).query_pairs(_SAME * size, output_type="ndarray")
+    used_nodes = np.unique(corners)
+    pairs = cKDTree(points[used_nodes]).query_pairs(_SAME * size, output_type="ndarray")
     if len(pairs):
-        first, second = sorted(used[pairs[0]].tolist())
+        first, second = sorted(used_nodes[pairs[0]].tolist())
         raise NumericsError(
             f"nodes {first} and {second} (one of {len(pairs)} such pairs) are at the same place",
             remedy="merge them: elements that touch must share their nodes",
@@ -90,12 +90,12 @@ def check_doubled(points: Points, corners: Indices) -> None:
 
 def check_used(points: Points, corners: Indices) -> None:
     """Refuse nodes that belong to no element."""
-    used = np.zeros(len(points), dtype=np.bool_)
-    used[corners] = True
-    idle = np.flatnonzero(~used)
-    if idle.size:
+    is_used = np.zeros(len(points), dtype=np.bool_)
+    is_used[corners] = True
+    idle_nodes = np.flatnonzero(~is_used)
+    if idle_nodes.size:
         raise NumericsError(
-            f"node {idle[0]} (one of {idle.size} such) belongs to no element",
+            f"node {idle_nodes[0]} (one of {idle_nodes.size} such) belongs to no element",
             remedy="leave such nodes out, or say fix=True",
         )
 
@@ -105,16 +105,16 @@ def check_shape(points: Points, corners: Indices) -> None:
     twice = twice_area(points, corners)
     sides = points[corners] - np.roll(points[corners], 1, axis=1)
     longest = (sides**2).sum(axis=2).max(axis=1)
-    flat = np.flatnonzero(np.abs(twice) <= _FLAT * longest)
-    if flat.size:
+    flat_elements = np.flatnonzero(np.abs(twice) <= _FLAT * longest)
+    if flat_elements.size:
         raise NumericsError(
-            f"element {flat[0]} (one of {flat.size} such) is flat: its corners lie on one line",
+            f"element {flat_elements[0]} (one of {flat_elements.size} such) is flat: its corners lie on one line",
             remedy="leave it out, or mesh the sheet again",
         )
-    turned = np.flatnonzero(twice < 0)
-    if turned.size:
+    turned_elements = np.flatnonzero(twice < 0)
+    if turned_elements.size:
         raise NumericsError(
-            f"element {turned[0]} (one of {turned.size} such) is turned: its corners go clockwise",
+            f"element {turned_elements[0]} (one of {turned_elements.size} such) is turned: its corners go clockwise",
             remedy="list them counterclockwise, or say fix=True",
         )
 
@@ -152,11 +152,13 @@ def check_hanging(mesh: Mesh, boundary: Indices) -> None:
     on_edge = np.unique(boundary)
     size = float(np.ptp(mesh.nodes_mm, axis=0).max())
     for first, second in boundary:
-        start, along = mesh.nodes_mm[first], mesh.nodes_mm[second] - mesh.nodes_mm[first]
-        off = mesh.nodes_mm[on_edge] - start
-        share = off @ along / (along @ along)
-        away = np.abs(off[:, 0] * along[1] - off[:, 1] * along[0]) / np.hypot(*along)
-        hanging = on_edge[(share > 1e-6) & (share < 1 - 1e-6) & (away < _SAME * size)]
+        start, edge_vector = mesh.nodes_mm[first], mesh.nodes_mm[second] - mesh.nodes_mm[first]
+        offsets_mm = mesh.nodes_mm[on_edge] - start
+        share = offsets_mm @ edge_vector / (edge_vector @ edge_vector)
+        distances_mm = np.abs(offsets_mm[:, 0] * edge_vector[1] - offsets_mm[:, 1] * edge_vector[0]) / np.hypot(
+            *edge_vector
+        )
+        hanging = on_edge[(share > 1e-6) & (share < 1 - 1e-6) & (distances_mm < _SAME * size)]
         if hanging.size:
             raise NumericsError(
                 f"node {hanging[0]} lies on the edge between nodes {first} and {second} without dividing it",
@@ -174,7 +176,7 @@ class ElectrodeAt:
     Parameters
     ----------
     x_mm, y_mm : middle of a strip, or of the hole that a pin is.
-    width_mm : a strip's length or a pin's diameter.
+    width_mm : length of a strip, or diameter of a pin.
     """
 
     x_mm: float
@@ -216,20 +218,20 @@ def import_mesh(
     points = plane_points(nodes_mm)
     corners = whole_numbers(elements, "elements", (3,)) - first
     check_range(corners, len(points), first, "element")
-    given = [
+    given_electrodes = [
         electrode if isinstance(electrode, ElectrodeAt) else _numbers(electrode, k, first)
         for k, electrode in enumerate(electrodes)
     ]
     check_doubled(points, corners)
     if fix:
-        points, corners, given = _fix_mesh(points, corners, given)
+        points, corners, given_electrodes = _fix_mesh(points, corners, given_electrodes)
     check_used(points, corners)
     check_shape(points, corners)
     mesh = Mesh(points, corners)
     boundary = boundary_edges(mesh)
     check_in_one_piece(mesh)
     check_hanging(mesh, boundary)
-    edges = [_edges_of(electrode, number, mesh, boundary) for number, electrode in enumerate(given)]
+    edges = [_edges_of(electrode, number, mesh, boundary) for number, electrode in enumerate(given_electrodes)]
     _check_shared(edges)
     return Mesh(points, corners, tuple(edges))
 
@@ -247,22 +249,22 @@ def _numbers(given: ArrayLike, number: int, first: int) -> Indices:
 def _fix_mesh(
     points: Points, corners: Indices, given: list[ElectrodeAt | Indices]
 ) -> tuple[Points, Indices, list[ElectrodeAt | Indices]]:
-    turned = twice_area(points, corners) < 0
+    is_turned = twice_area(points, corners) < 0
     corners = corners.copy()
-    corners[turned] = corners[turned][:, ::-1]
-    used = np.unique(corners)
-    new = np.full(len(points), -1, dtype=np.int64)
-    new[used] = np.arange(len(used))
-    kept: list[ElectrodeAt | Indices] = []
+    corners[is_turned] = corners[is_turned][:, ::-1]
+    used_nodes = np.unique(corners)
+    new_numbers = np.full(len(points), -1, dtype=np.int64)
+    new_numbers[used_nodes] = np.arange(len(used_nodes))
+    renumbered: list[ElectrodeAt | Indices] = []
     for number, electrode in enumerate(given):
         if not isinstance(electrode, ElectrodeAt):
             check_range(electrode, len(points), 0, f"electrode {number}: entry")
-            if (new[electrode] < 0).any():
+            if (new_numbers[electrode] < 0).any():
                 raise NumericsError(
                     f"electrode {number} names a node that belongs to no element", remedy="name nodes of the sheet"
                 )
-        kept.append(electrode if isinstance(electrode, ElectrodeAt) else new[electrode])
-    return points[used], new[corners], kept
+        renumbered.append(electrode if isinstance(electrode, ElectrodeAt) else new_numbers[electrode])
+    return points[used_nodes], new_numbers[corners], renumbered
 
 
 def _edges_of(given: ElectrodeAt | Indices, number: int, mesh: Mesh, boundary: Indices) -> Indices:
@@ -272,9 +274,9 @@ def _edges_of(given: ElectrodeAt | Indices, number: int, mesh: Mesh, boundary: I
     if given.ndim == 1:
         return _edges_between(given, number, boundary)
     keys = _keys(boundary, mesh)
-    inside = np.flatnonzero(~np.isin(_keys(given, mesh), keys))
-    if inside.size:
-        first, second = given[inside[0]]
+    strays = np.flatnonzero(~np.isin(_keys(given, mesh), keys))
+    if strays.size:
+        first, second = given[strays[0]]
         raise NumericsError(
             f"electrode {number}: nodes {first} and {second} are no edge of the mesh's boundary",
             remedy="an electrode is on the sheet's edge, or on the rim of a hole in it",
@@ -284,11 +286,11 @@ def _edges_of(given: ElectrodeAt | Indices, number: int, mesh: Mesh, boundary: I
 
 def _edges_between(nodes: Indices, number: int, boundary: Indices) -> Indices:
     edges: Indices = boundary[np.isin(boundary, nodes).all(axis=1)]
-    lonely = np.setdiff1d(nodes, edges)
-    if lonely.size:
-        where = "is not on the mesh's boundary" if not np.isin(lonely[0], boundary) else "has no other beside it"
+    alone = np.setdiff1d(nodes, edges)
+    if alone.size:
+        fault = "is not on the mesh's boundary" if not np.isin(alone[0], boundary) else "has no other beside it"
         raise NumericsError(
-            f"electrode {number}: node {lonely[0]} {where}; an electrode's nodes are joined by edges of the boundary",
+            f"electrode {number}: node {alone[0]} {fault}; an electrode's nodes are joined by edges of the boundary",
             remedy="name all its nodes; for an electrode that is a single point use"
             " cbsr_qa.eit.forward.model.point_model",
         )
@@ -296,23 +298,23 @@ def _edges_between(nodes: Indices, number: int, boundary: Indices) -> Indices:
 
 
 def _edges_at(place: ElectrodeAt, number: int, mesh: Mesh, boundary: Indices) -> Indices:
-    here, ends = np.array([place.x_mm, place.y_mm]), mesh.nodes_mm[boundary]
-    to_middle = np.hypot(*(ends.mean(axis=1) - here).T)
-    chosen: Indices = boundary[to_middle <= place.width_mm / 2 * (1 + 1e-9)]
-    covered = float(np.hypot(*(mesh.nodes_mm[chosen[:, 1]] - mesh.nodes_mm[chosen[:, 0]]).T).sum())
-    if covered >= _LEAST_COVERED * place.width_mm:
-        return chosen
-    where = f"electrode {number} at ({place.x_mm:g}, {place.y_mm:g}) mm"
-    along = ends[:, 1] - ends[:, 0]
-    share = np.clip(((here - ends[:, 0]) * along).sum(axis=1) / (along**2).sum(axis=1), 0, 1)
-    away = float(np.hypot(*(here - ends[:, 0] - share[:, None] * along).T).min())
-    if away > place.width_mm:
+    centre_mm, ends = np.array([place.x_mm, place.y_mm]), mesh.nodes_mm[boundary]
+    to_middle = np.hypot(*(ends.mean(axis=1) - centre_mm).T)
+    covered_edges: Indices = boundary[to_middle <= place.width_mm / 2 * (1 + 1e-9)]
+    covered_mm = float(np.hypot(*(mesh.nodes_mm[covered_edges[:, 1]] - mesh.nodes_mm[covered_edges[:, 0]]).T).sum())
+    if covered_mm >= _LEAST_COVERED * place.width_mm:
+        return covered_edges
+    electrode_name = f"electrode {number} at ({place.x_mm:g}, {place.y_mm:g}) mm"
+    edge_vectors = ends[:, 1] - ends[:, 0]
+    share = np.clip(((centre_mm - ends[:, 0]) * edge_vectors).sum(axis=1) / (edge_vectors**2).sum(axis=1), 0, 1)
+    distance_mm = float(np.hypot(*(centre_mm - ends[:, 0] - share[:, None] * edge_vectors).T).min())
+    if distance_mm > place.width_mm:
         raise NumericsError(
-            f"{where} is not on the mesh's boundary, which is {away:.4g} mm away",
+            f"{electrode_name} is not on the mesh's boundary, which is {distance_mm:.4g} mm away",
             remedy="move it to the sheet's edge or to a hole, or check the mesh's unit of length (millimetres)",
         )
     raise NumericsError(
-        f"{where} covers {covered:.4g} mm of the mesh's boundary; it is {place.width_mm:g} mm wide",
+        f"{electrode_name} covers {covered_mm:.4g} mm of the mesh's boundary; it is {place.width_mm:g} mm wide",
         remedy="use smaller elements there, with nodes at the electrode's ends",
     )
 

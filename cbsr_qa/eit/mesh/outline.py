@@ -45,19 +45,23 @@ from cbsr_qa.eit.mesh.triangulate import Outline, Points, fill
 
 _ROUNDS: Final = 12  # rounds of dividing edges that the triangles would cut
 _EDGES_ROUND_CLOSE_PIN: Final = 200  # limit: a pin closer to something has no room
-#: An image's outline leaves out corners that protrude by less than this, of the elements' size.
+#: Protrusion, over the elements' size, below which an image's outline leaves out a corner.
 _OUT_OF_LINE: Final = 0.03
 
 
 def outline_sheet_mesh(sensor_type: SensorType, size_mm: float, order: int) -> Mesh:
     """Mesh any sheet for its forward model; see :func:`cbsr_qa.eit.mesh.sheet.sheet_mesh`, also for errors."""
     electrodes = sensor_type.electrodes
-    for number, what in placement_problems(electrodes, sensor_type.outline):
-        which = "its ring of electrodes" if number is None else f"electrode {number}"
-        raise RefusedError(f"sensor type {sensor_type.name!r}: {which} {what}", remedy="move it, or make it narrower")
-    narrow = width_problem(electrodes, sensor_type.outline.radius_mm)
-    if narrow is not None:
-        raise RefusedError(f"sensor type {sensor_type.name!r}: the electrodes' width {narrow}", remedy="change it")
+    for number, problem in placement_problems(electrodes, sensor_type.outline):
+        subject = "its ring of electrodes" if number is None else f"electrode {number}"
+        raise RefusedError(
+            f"sensor type {sensor_type.name!r}: {subject} {problem}", remedy="move it, or make it narrower"
+        )
+    width_fault = width_problem(electrodes, sensor_type.outline.radius_mm)
+    if width_fault is not None:
+        raise RefusedError(
+            f"sensor type {sensor_type.name!r}: the electrodes' width {width_fault}", remedy="change it"
+        )
     frame = _Frame.for_outline(sensor_type.outline)
     curve, radius = frame.curve, frame.radius
     places, width = frame.to_frame(electrodes.positions_mm()), electrodes.width_mm
@@ -108,11 +112,11 @@ class _Frame:
         if isinstance(outline, Disc):
             return cls(np.zeros(2), np.eye(2), grid, circle_curve(outline.radius_mm))
         corners = np.array(outline.corners_mm)
-        along = corners[1] - corners[0]
-        cosine, sine = along / np.hypot(*along)
+        first_side = corners[1] - corners[0]
+        cosine, sine = first_side / np.hypot(*first_side)
         turn = np.array([[cosine, -sine], [sine, cosine]])
-        own = np.round((corners - corners[0]) @ turn / grid) * grid
-        return cls(corners[0], turn, grid, polygon_curve(own, outline.corner_radius_mm))
+        turned_corners = np.round((corners - corners[0]) @ turn / grid) * grid
+        return cls(corners[0], turn, grid, polygon_curve(turned_corners, outline.corner_radius_mm))
 
     @property
     def radius(self) -> float:
@@ -253,9 +257,9 @@ def _cut_edges(rings: list[Points]) -> Mask:
 
 def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
     counts = np.bincount(mesh.element_edges.ravel(), minlength=len(mesh.edges))
-    boundary = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
-    wanted = np.sort(np.vstack(rings), axis=1) @ [len(mesh.nodes_mm), 1]
-    if counts.max() > 2 or not np.array_equal(np.sort(boundary), np.sort(wanted)):
+    boundary_keys = mesh.edges[counts == 1] @ [len(mesh.nodes_mm), 1]
+    ring_keys = np.sort(np.vstack(rings), axis=1) @ [len(mesh.nodes_mm), 1]
+    if counts.max() > 2 or not np.array_equal(np.sort(boundary_keys), np.sort(ring_keys)):
         raise RefusedError(
             f"elements of {size:g} mm cannot follow the sheet's outline",
             remedy="use a smaller element size, or a plainer outline",

@@ -46,12 +46,12 @@ class PyeitSheet:
         """
         outline = self.mesh.outline
         edges = tuple(outline[(outline == node).any(axis=1)] for node in self.electrode_nodes)
-        carried = np.concatenate(edges)
-        number = np.repeat(np.arange(len(edges)), [len(each) for each in edges])
-        _, first, count = np.unique(np.sort(carried, axis=1), axis=0, return_index=True, return_counts=True)
+        all_edges = np.concatenate(edges)
+        number = np.repeat(np.arange(len(edges)), [len(electrode_edges) for electrode_edges in edges])
+        _, first, count = np.unique(np.sort(all_edges, axis=1), axis=0, return_index=True, return_counts=True)
         if (count > 1).any():
-            ends = set(carried[first[np.argmax(count > 1)]].tolist())
-            both = [int(k) for k, edge in zip(number, carried.tolist(), strict=True) if set(edge) == ends]
+            ends = set(all_edges[first[np.argmax(count > 1)]].tolist())
+            both = [int(k) for k, edge in zip(number, all_edges.tolist(), strict=True) if set(edge) == ends]
             raise NumericsError(
                 f"electrodes {both[0]} and {both[1]} are neighbours on the mesh's boundary: they would share an edge",
                 remedy="use a finer mesh, or point electrodes (cbsr_qa.eit.forward.model.point_model)",
@@ -81,34 +81,34 @@ def import_pyeit_mesh(mesh: object) -> PyeitSheet:
             "element has 4 columns: the mesh is made of tetrahedra, and a sheet of triangles",
             remedy="make a mesh in the plane",
         )
-    ours = import_mesh(node, element, fix=True)
+    sheet = import_mesh(node, element, fix=True)
     numbers = _entry(mesh, "el_pos")
     nodes = whole_numbers(numbers[:, 0] if numbers.ndim == 2 and numbers.shape[1] == 1 else numbers, "el_pos", ())
     _check_numbers(nodes, len(node), "el_pos: electrode", "node")
-    kept = np.unique(element.astype(np.int64))
-    on_boundary = np.isin(nodes, kept[np.unique(ours.outline)])
+    used_nodes = np.unique(element.astype(np.int64))
+    on_boundary = np.isin(nodes, used_nodes[np.unique(sheet.outline)])
     if not on_boundary.all():
         number = int(np.argmin(on_boundary))
         raise NumericsError(
             f"el_pos: electrode {number} is node {nodes[number]}, which is not on the mesh's boundary",
             remedy="name nodes of the sheet's edge, or of the rim of a hole in it",
         )
-    _, again = np.unique(nodes, return_index=True)
-    if len(again) < len(nodes):
-        number = int(np.setdiff1d(np.arange(len(nodes)), again)[0])
+    _, first_electrodes = np.unique(nodes, return_index=True)
+    if len(first_electrodes) < len(nodes):
+        number = int(np.setdiff1d(np.arange(len(nodes)), first_electrodes)[0])
         raise NumericsError(
             f"el_pos: electrode {number} is node {nodes[number]}, as is an earlier one",
             remedy="give every electrode its own node",
         )
-    return PyeitSheet(ours, np.searchsorted(kept, nodes), _conductance(mesh, len(ours.elements)))
+    return PyeitSheet(sheet, np.searchsorted(used_nodes, nodes), _conductance(mesh, len(sheet.elements)))
 
 
 def _check_numbers(numbers: Indices, count: int, what: str, named: str) -> None:
     """Refuse numbers (k,) beyond those that there are."""
-    wrong = np.flatnonzero((numbers < 0) | (numbers >= count))
-    if wrong.size:
+    bad_indices = np.flatnonzero((numbers < 0) | (numbers >= count))
+    if bad_indices.size:
         raise NumericsError(
-            f"{what} {wrong[0]} names {named} {numbers[wrong[0]]}; there are {named}s 0 to {count - 1}",
+            f"{what} {bad_indices[0]} names {named} {numbers[bad_indices[0]]}; there are {named}s 0 to {count - 1}",
             remedy=f"count {named}s from 0, as pyEIT does",
         )
 
@@ -120,10 +120,10 @@ def _conductance(mesh: object, count: int) -> Array:
             f"perm has shape {perm.shape}; the mesh has {count} elements", remedy="give one number, or one each"
         )
     conductance = np.broadcast_to(perm, (count,)).copy()
-    wrong = np.flatnonzero(~(np.isfinite(conductance) & (conductance > 0)))
-    if wrong.size:
+    bad = np.flatnonzero(~(np.isfinite(conductance) & (conductance > 0)))
+    if bad.size:
         raise NumericsError(
-            f"perm of element {wrong[0]} (one of {wrong.size} such) is {conductance[wrong[0]]:g}",
+            f"perm of element {bad[0]} (one of {bad.size} such) is {conductance[bad[0]]:g}",
             remedy="give positive finite numbers",
         )
     return conductance
@@ -135,9 +135,9 @@ class PyeitProtocol:
 
     Parameters
     ----------
-    pattern : its drive pairs in their order; its distinct measure pairs in the order of their second electrodes.
-    drive, measure : (m,) of each reading.
-    kept : which of a longer row of readings are those, pyEIT's ``keep_ba``; None if it states none.
+    pattern : drive pairs in their order; distinct measure pairs in the order of their second electrodes.
+    drive, measure : (m,) drive and measure pair of each reading.
+    kept : mask that selects these readings from a longer row, pyEIT's ``keep_ba``; None if it has none.
     """
 
     pattern: DrivePattern
@@ -186,7 +186,7 @@ def import_pyeit_protocol(protocol: object, electrode_count: int) -> PyeitProtoc
     protocol : ``PyEITProtocol``, or a dict of the same names: ``ex_mat`` (drives, 2) of source and sink; ``meas_mat``
         (drives, k, 2) of plus and minus, or (drives, k, 3) or (m, 3) with the number of the drive in the third column
         (pyEIT after 1.2.4); ``keep_ba``, booleans, if there are any.
-    electrode_count : of the mesh.
+    electrode_count : number of electrodes of the mesh.
 
     Raises
     ------
@@ -196,19 +196,23 @@ def import_pyeit_protocol(protocol: object, electrode_count: int) -> PyeitProtoc
         If a pair names an electrode that is not there, or the same one twice.
     """
     drives = whole_numbers(_entry(protocol, "ex_mat"), "ex_mat", (2,))
-    measured = _entry(protocol, "meas_mat")
-    if measured.dtype.kind not in "iuf" or measured.ndim not in (2, 3) or measured.shape[-1] not in (2, 3):
-        raise _unlike(measured, len(drives))
-    if measured.ndim == 3:
-        if len(measured) != len(drives):
-            raise _unlike(measured, len(drives))
-        drive = np.repeat(np.arange(len(drives)), measured.shape[1])
-    elif measured.shape[1] == 3:
-        drive = whole_numbers(measured[:, 2], "meas_mat: drives", ())
+    measurements = _entry(protocol, "meas_mat")
+    if (
+        measurements.dtype.kind not in "iuf"
+        or measurements.ndim not in (2, 3)
+        or measurements.shape[-1] not in (2, 3)
+    ):
+        raise _unlike(measurements, len(drives))
+    if measurements.ndim == 3:
+        if len(measurements) != len(drives):
+            raise _unlike(measurements, len(drives))
+        drive = np.repeat(np.arange(len(drives)), measurements.shape[1])
+    elif measurements.shape[1] == 3:
+        drive = whole_numbers(measurements[:, 2], "meas_mat: drives", ())
         _check_numbers(drive, len(drives), "meas_mat: reading", "drive")
     else:
-        raise _unlike(measured, len(drives))
-    rows = measured.reshape(-1, measured.shape[-1])
+        raise _unlike(measurements, len(drives))
+    rows = measurements.reshape(-1, measurements.shape[-1])
     if rows.shape[1] == 3 and not np.array_equal(rows[:, 2], drive):
         reading = int(np.argmax(rows[:, 2] != drive))
         raise NumericsError(
@@ -217,8 +221,8 @@ def import_pyeit_protocol(protocol: object, electrode_count: int) -> PyeitProtoc
             remedy="give each drive its own block, in the order of ex_mat",
         )
     pairs = whole_numbers(rows[:, :2], "meas_mat", (2,))
-    distinct, measure = np.unique(pairs[:, ::-1], axis=0, return_inverse=True)  # by the second electrode
-    pattern = DrivePattern(electrode_count, _as_pairs(drives), _as_pairs(distinct[:, ::-1]))
+    distinct_pairs, measure = np.unique(pairs[:, ::-1], axis=0, return_inverse=True)  # by the second electrode
+    pattern = DrivePattern(electrode_count, _as_pairs(drives), _as_pairs(distinct_pairs[:, ::-1]))
     return PyeitProtocol(pattern, drive, measure.reshape(-1), _kept(protocol, len(pairs)))
 
 
@@ -231,16 +235,16 @@ def _unlike(measured: Array, drives: int) -> NumericsError:
 
 
 def _kept(protocol: object, count: int) -> Mask | None:
-    given = _entry(protocol, "keep_ba", None)
-    if given.dtype == object and given.ndim == 0:
+    keep = _entry(protocol, "keep_ba", None)
+    if keep.dtype == object and keep.ndim == 0:
         return None
-    if given.dtype.kind != "b" or given.ndim != 1 or (len(given) != count and int(given.sum()) != count):
+    if keep.dtype.kind != "b" or keep.ndim != 1 or (len(keep) != count and int(keep.sum()) != count):
         raise NumericsError(
-            f"keep_ba of shape {given.shape} and type {given.dtype} does not keep the {count} readings of meas_mat",
+            f"keep_ba of shape {keep.shape} and type {keep.dtype} does not keep the {count} readings of meas_mat",
             remedy=f"give booleans, {count} of them true, or leave it out",
         )
-    kept: Mask = given
-    return kept
+    is_kept: Mask = keep
+    return is_kept
 
 
 def _as_pairs(rows: Indices) -> tuple[Pair, ...]:

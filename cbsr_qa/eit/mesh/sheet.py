@@ -41,7 +41,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
     Parameters
     ----------
     size_mm : edge length far from the electrodes [mm], at most a quarter of the radius.
-    order : of the elements on the mesh.
+    order : order of the elements on the mesh.
 
     Raises
     ------
@@ -116,15 +116,15 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
     if order == 1:
-        finest, grade = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap), plain_lengths(size, radius)
+        finest_size, grade = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap), plain_lengths(size, radius)
     else:
-        finest = min(2 * np.pi * pin / edges_round_pin_smoothly(size, radius), gap)
+        finest_size = min(2 * np.pi * pin / edges_round_pin_smoothly(size, radius), gap)
         grade = smooth_lengths(size, radius)
 
     def sizes(points: Points) -> Array:
-        return grade(finest, from_pin(points))
+        return grade(finest_size, from_pin(points))
 
-    rim_count = int(np.ceil(2 * np.pi * pin / finest - 1e-9))
+    rim_count = int(np.ceil(2 * np.pi * pin / finest_size - 1e-9))
     edge = _rotate_copies(
         _spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius
     )
@@ -138,29 +138,29 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
 
 
 def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
-    half = layout.width_mm / radius / 2
-    ends = layout.angles_rad()[:, None] + np.array([-half, half])
+    half_angle = layout.width_mm / radius / 2
+    ends = layout.angles_rad()[:, None] + np.array([-half_angle, half_angle])
     tree = cKDTree(radius * _unit(ends.ravel()))
     if order == 1:
-        fewest, finest, grade = (
+        fewest_edges, finest_size, grade = (
             EDGES_PER_ARC,
             finest_of_arc(size, radius, layout.width_mm),
             plain_lengths(size, radius),
         )
     else:
-        fewest, finest = FEWEST_SMOOTHLY, finest_smoothly(size, radius, layout.width_mm)
+        fewest_edges, finest_size = FEWEST_SMOOTHLY, finest_smoothly(size, radius, layout.width_mm)
         grade = smooth_lengths(size, radius)
 
     def sizes(points: Points) -> Array:
-        return grade(finest, np.asarray(tree.query(points)[0], dtype=np.float64))
+        return grade(finest_size, np.asarray(tree.query(points)[0], dtype=np.float64))
 
     start = float(ends[0, 0])
-    arc = _spread_arc(radius, start, 2 * half, sizes, at_least=fewest)
-    space = _spread_arc(radius, start + 2 * half, abs(layout.step_rad) - 2 * half, sizes)
+    arc = _spread_arc(radius, start, 2 * half_angle, sizes, at_least=fewest_edges)
+    space = _spread_arc(radius, start + 2 * half_angle, abs(layout.step_rad) - 2 * half_angle, sizes)
     edge = _rotate_copies(np.concatenate([arc[:-1], space[:-1]]), layout, radius)
     period = len(edge) // layout.count
-    along = np.arange(len(arc) - 1)
-    edges = tuple((np.column_stack([along, along + 1]) + k * period) % len(edge) for k in range(layout.count))
+    arc_nodes = np.arange(len(arc) - 1)
+    edges = tuple((np.column_stack([arc_nodes, arc_nodes + 1]) + k * period) % len(edge) for k in range(layout.count))
     outline = Outline(
         edge,
         np.full(len(edge), -1, dtype=np.int64),
@@ -185,8 +185,8 @@ def _spread_arc(radius: float, start: float, span: float, sizes: Size, *, at_lea
 
 def _rotate_copies(angles: Array, layout: ElectrodeLayout, radius: float) -> Points:
     """Nodes of one electrode's stretch of the edge, repeated for every electrode, in order."""
-    every = angles + layout.step_rad * np.arange(layout.count)[:, None]
-    return radius * _unit(every.ravel())
+    all_angles = angles + layout.step_rad * np.arange(layout.count)[:, None]
+    return radius * _unit(all_angles.ravel())
 
 
 def _unit(angles: Array) -> Points:
@@ -216,9 +216,11 @@ def _check_size(sensor_type: SensorType, size_mm: float) -> None:
 
 
 def _check_layout(name: str, layout: ElectrodeLayout, radius: float) -> None:
-    narrow = width_problem(layout, radius)
-    if narrow is not None:
-        raise RefusedError(f"sensor type {name!r}: the electrodes' width {narrow}", remedy="change it or the ring")
+    width_fault = width_problem(layout, radius)
+    if width_fault is not None:
+        raise RefusedError(
+            f"sensor type {name!r}: the electrodes' width {width_fault}", remedy="change it or the ring"
+        )
     widest = widest_ring_mm(layout.width_mm, radius)
     if layout.kind is ElectrodeKind.PIN and layout.ring_radius_mm > widest:
         raise RefusedError(

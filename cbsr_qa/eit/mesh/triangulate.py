@@ -21,7 +21,7 @@ _TOO_LARGE = 1.25  # a larger circumradius, relative to an equilateral triangle'
 _SPACING = 0.86  # distance between points inserted together, in wanted sizes
 _CLEARANCE = 0.58  # and from the outline
 _ROUNDS = 60
-#: More points than any sheet's mesh needs (3000 to 20000); filling so many takes about a minute.
+#: Largest number of points: more than any sheet's mesh needs (3000 to 20000); so many take about a minute.
 MOST_POINTS: Final = 200_000
 
 
@@ -78,8 +78,12 @@ def triangulate(outline: Outline, points: Points) -> Indices:
     elements = Delaunay(points).simplices.astype(np.int64)
     hole = np.full(len(points), -1)
     hole[: len(outline.hole)] = outline.hole
-    own = hole[elements]
-    in_hole = (own[:, 0] >= 0) & (own[:, 0] == own[:, 1]) & (own[:, 1] == own[:, 2])
+    element_holes = hole[elements]
+    in_hole = (
+        (element_holes[:, 0] >= 0)
+        & (element_holes[:, 0] == element_holes[:, 1])
+        & (element_holes[:, 1] == element_holes[:, 2])
+    )
     elements = elements[~in_hole]
     twice = twice_area(points, elements)
     turned = twice < 0
@@ -108,14 +112,14 @@ def _refine(outline: Outline, points: Points) -> Points:
         centres, radii = _circumcircles(points, triangulate(outline, points))
         keep = outline.clearance(centres) > 0
         centres, radii = centres[keep], radii[keep]
-        wanted = outline.size(centres)
-        excess = radii * np.sqrt(3) / wanted
-        keep = (excess > _TOO_LARGE) & (outline.clearance(centres) > _CLEARANCE * wanted)
+        sizes = outline.size(centres)
+        excess = radii * np.sqrt(3) / sizes
+        keep = (excess > _TOO_LARGE) & (outline.clearance(centres) > _CLEARANCE * sizes)
         if not keep.any():
             break
         order = np.argsort(-excess[keep], kind="stable")
-        centres, wanted = centres[keep][order], wanted[keep][order]
-        points = np.vstack([points, centres[_spread(centres, _SPACING * wanted)]])
+        centres, sizes = centres[keep][order], sizes[keep][order]
+        points = np.vstack([points, centres[_spread(centres, _SPACING * sizes)]])
     return points
 
 
@@ -130,9 +134,9 @@ def _check_number(points: int, on_outline: int) -> None:
 
 def _spread(points: Points, distance: Array) -> Indices:
     """Take points in order, leaving out those too close to one already taken."""
-    near = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
+    near_points = cKDTree(points).query_ball_point(points, distance, return_sorted=True)
     dropped = np.zeros(len(points), dtype=bool)
-    for index, neighbours in enumerate(near):
+    for index, neighbours in enumerate(near_points):
         if not dropped[index]:
             later = np.asarray(neighbours)
             dropped[later[later > index]] = True
@@ -143,21 +147,21 @@ def _smooth(outline: Outline, points: Points, elements: Indices) -> Points:
     """Push the ends of short edges apart, in proportion to the missing length (Persson & Strang 2004)."""
     edges = np.sort(np.vstack([elements[:, [0, 1]], elements[:, [1, 2]], elements[:, [2, 0]]]), axis=1)
     edges = np.unique(edges[:, 0] * len(points) + edges[:, 1])
-    first, second = np.divmod(edges, len(points))
-    along = points[second] - points[first]
-    length = np.hypot(along[:, 0], along[:, 1])
-    wanted = outline.size((points[first] + points[second]) / 2)
-    wanted = 1.2 * wanted * np.sqrt((length**2).sum() / (wanted**2).sum())
-    push = (np.maximum(wanted - length, 0) / length)[:, None] * along
+    first_end, second_end = np.divmod(edges, len(points))
+    edge_vectors = points[second_end] - points[first_end]
+    length = np.hypot(edge_vectors[:, 0], edge_vectors[:, 1])
+    target_length = outline.size((points[first_end] + points[second_end]) / 2)
+    target_length = 1.2 * target_length * np.sqrt((length**2).sum() / (target_length**2).sum())
+    push = (np.maximum(target_length - length, 0) / length)[:, None] * edge_vectors
     move = np.zeros_like(points)
-    np.add.at(move, first, -push)
-    np.add.at(move, second, push)
+    np.add.at(move, first_end, -push)
+    np.add.at(move, second_end, push)
     fixed = len(outline.points)
-    moved = points.copy()
-    moved[fixed:] += 0.2 * move[fixed:]
-    stray = outline.clearance(moved[fixed:]) < 0.3 * outline.size(moved[fixed:])
-    moved[fixed:][stray] = points[fixed:][stray]
-    return moved
+    moved_points = points.copy()
+    moved_points[fixed:] += 0.2 * move[fixed:]
+    is_stray = outline.clearance(moved_points[fixed:]) < 0.3 * outline.size(moved_points[fixed:])
+    moved_points[fixed:][is_stray] = points[fixed:][is_stray]
+    return moved_points
 
 
 def twice_area(points: Points, elements: Indices) -> Array:

@@ -26,7 +26,7 @@ def checksum(text: str) -> int:
 def read_line(raw: bytes, last: int) -> NumberedLine:
     """Parse one line as Marlin's queue does."""
     text = raw[: LONGEST_LINE - 1].decode("ascii", "replace").split(";")[0].strip()
-    body, star, given = text.partition("*")
+    body, star, checksum_text = text.partition("*")
     if not text.startswith("N"):
         return None, body.strip(), "No Line Number with checksum" if star else ""
     digits, _, command = body[1:].partition(" ")
@@ -35,7 +35,7 @@ def read_line(raw: bytes, last: int) -> NumberedLine:
     number = int(digits)
     if not star:
         return number, command, "No Checksum with line number"
-    if not given.isdigit() or int(given) != checksum(body):
+    if not checksum_text.isdigit() or int(checksum_text) != checksum(body):
         return number, command, "checksum mismatch"
     if number != last + 1 and "M110" not in command:
         return number, command, "Line Number is not Last Line Number+1"
@@ -44,9 +44,9 @@ def read_line(raw: bytes, last: int) -> NumberedLine:
 
 def words(command: str) -> tuple[str, dict[str, float | None]]:
     """Split a command into code and parameters; None for parameters without a number."""
-    code, *rest = command.split() or [""]
+    code, *parameter_words = command.split() or [""]
     parameters: dict[str, float | None] = {}
-    for word in rest:
+    for word in parameter_words:
         try:
             parameters[word[0].upper()] = float(word[1:])
         except ValueError:
@@ -146,12 +146,12 @@ class EmulatedApplicator:
         self._offset: Position = self._head.target_mm  # the machine position that the firmware now calls 0
 
     def _obey(self, raw: bytes) -> str:
-        number, command, wrong = read_line(raw, self._last)
-        if number is not None and not wrong and Fault.RESEND in self._told:
+        number, command, problem = read_line(raw, self._last)
+        if number is not None and not problem and Fault.RESEND in self._told:
             self._told.discard(Fault.RESEND)
-            wrong = "checksum mismatch"
-        if wrong:
-            return f"Error:{wrong}, Last Line: {self._last}\nResend: {self._last + 1}\nok\n"
+            problem = "checksum mismatch"
+        if problem:
+            return f"Error:{problem}, Last Line: {self._last}\nResend: {self._last + 1}\nok\n"
         if number is not None:
             self._last = number
         if not command:
@@ -182,11 +182,13 @@ class EmulatedApplicator:
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
         origin = self._target_mm()
-        wanted = [self._goal_of(axis, parameters) for axis in range(3)]
-        x, y, z = (min(max(to, 0.0), most) for to, most in zip(wanted, REACH_MM, strict=True))
-        ways = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
-        length = sum(way**2 for way in ways) ** 0.5
-        slowest_s = max([length / self._speed_mm_s, *(w / v for w, v in zip(ways, _FASTEST_MM_S, strict=True))])
+        goal_mm = [self._goal_of(axis, parameters) for axis in range(3)]
+        x, y, z = (min(max(target_mm, 0.0), reach_mm) for target_mm, reach_mm in zip(goal_mm, REACH_MM, strict=True))
+        distances_mm = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
+        length = sum(way**2 for way in distances_mm) ** 0.5
+        slowest_s = max(
+            [length / self._speed_mm_s, *(w / v for w, v in zip(distances_mm, _FASTEST_MM_S, strict=True))]
+        )
         if length > 0:
             self._head.go(self._true((x, y, z)), length / slowest_s)
         return ""
@@ -204,16 +206,16 @@ class EmulatedApplicator:
         A Prusa lifts first, and levels the mesh afterwards if no axis was named.
         """
         self._m400({})
-        named = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
+        axes = [axis for axis, letter in enumerate(_AXES) if letter in parameters] or [0, 1, 2]
         x, y, z = self._head.target_mm
         if self._firmware == "prusa":
             self._head.go((x, y, z + _HOMING_LIFT_MM), _HOMING_MM_S[2])
-        for axis in named:
+        for axis in axes:
             goal = list(self._head.target_mm)
             goal[axis] = 0.0
             self._head.go((goal[0], goal[1], goal[2]), _HOMING_MM_S[axis])
         self._m400({})
-        x, y, z = (0.0 if axis in named else offset for axis, offset in enumerate(self._offset))
+        x, y, z = (0.0 if axis in axes else offset for axis, offset in enumerate(self._offset))
         self._offset = (x, y, z)
         if not any(letter in parameters for letter in (*_AXES, "W")) and self._firmware == "prusa":
             self._wait_until(self._rig.clock.now() + _LEVELLING_S)

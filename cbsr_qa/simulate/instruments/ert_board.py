@@ -16,9 +16,9 @@ Counts = Indices
 _FILLED: Final = 0.4
 _UNSIGNED: Final = (0, 2**16 - 1)
 _SIGNED: Final = (-(2**15), 2**15 - 1)
-#: With more bytes unread at the other end the next row is lost: nothing reads them.
+#: Number of unread bytes above which the next row is lost: nothing reads them.
 _ROOM: Final = 2048
-#: After a longer jump in time rows older than two frames are lost [frames].
+#: Number of frames whose rows are kept after a longer jump in time; older rows are lost.
 _KEPT_FRAMES: Final = 2
 #: Start-up time before the first frame, and what it prints then.
 _BOOT_S: Final = 0.3
@@ -95,14 +95,14 @@ class EmulatedErtBoard:
         self._silent = fault is Fault.SILENCE
         if fault is Fault.RESET:
             return self.misbehave(fault)
-        sent = self._encode_row(row)
+        row_bytes = self._encode_row(row)
         if fault is Fault.GARBLE:
-            sent = sent[:7] + sent[8:]
+            row_bytes = row_bytes[:7] + row_bytes[8:]
         if fault is Fault.STALE:
-            sent = self._last + sent
-        self._last = sent
+            row_bytes = self._last + row_bytes
+        self._last = row_bytes
         if not self._silent:
-            self._send(sent)
+            self._send(row_bytes)
         return None
 
     def _encode_row(self, row: int) -> bytes:

@@ -33,9 +33,9 @@ class _Way:
     speed_mm_s: float
 
     def position(self, time_s: float) -> Position:
-        part = 1.0 if time_s >= self.end_s else max(time_s - self.start_s, 0.0) / (self.end_s - self.start_s)
-        x, y, z = (a + part * (b - a) for a, b in zip(self.origin, self.goal, strict=True))
-        return self.goal if part == 1.0 else (x, y, z)
+        path_share = 1.0 if time_s >= self.end_s else max(time_s - self.start_s, 0.0) / (self.end_s - self.start_s)
+        x, y, z = (a + path_share * (b - a) for a, b in zip(self.origin, self.goal, strict=True))
+        return self.goal if path_share == 1.0 else (x, y, z)
 
 
 class EmulatedHead:
@@ -147,15 +147,15 @@ class EmulatedHead:
 
     def _begin(self, way: _Way) -> None:
         self._rests = way.goal
-        before, after = self._sheet_position(way.origin), self._sheet_position(way.goal)
-        if before[:2] != after[:2]:
-            surface_mm = self._world.surface_mm(*before[:2], way.start_s)
-            self.dragged += self._above_sheet(*before[:2]) and self._written.true[2] > surface_mm
-            self._written.travel((*after[:2], before[2]), way.end_s)
-        if before[2] != after[2] and self._above_sheet(*after[:2]):
-            self._written.stroke(after, way.start_s, way.end_s - way.start_s, way.speed_mm_s)
-        elif before[2] != after[2]:
-            self._written.travel(after, way.end_s)
+        origin, goal = self._sheet_position(way.origin), self._sheet_position(way.goal)
+        if origin[:2] != goal[:2]:
+            surface_mm = self._world.surface_mm(*origin[:2], way.start_s)
+            self.dragged += self._above_sheet(*origin[:2]) and self._written.true[2] > surface_mm
+            self._written.travel((*goal[:2], origin[2]), way.end_s)
+        if origin[2] != goal[2] and self._above_sheet(*goal[:2]):
+            self._written.stroke(goal, way.start_s, way.end_s - way.start_s, way.speed_mm_s)
+        elif origin[2] != goal[2]:
+            self._written.travel(goal, way.end_s)
 
     def _above_sheet(self, x_mm: float, y_mm: float) -> bool:
         outline = self._world.setting.sensor_type.outline

@@ -52,10 +52,10 @@ class EmulatedMultiplexer:
         with self._rig.lock:
             reply = self._execute(command)
         with self._writing:
-            held, self._waiting = self._waiting, b""
+            waiting, self._waiting = self._waiting, b""
         if command == b"c":
             self._later(str(self._counter).encode())
-        return held + reply
+        return waiting + reply
 
     def misbehave(self, fault: Fault) -> None:
         """Restart: the counter is reset and pending output is lost."""
@@ -116,6 +116,6 @@ class EmulatedMultiplexer:
 
     def _send_log(self) -> None:
         with self._writing:
-            held, self._waiting = self._waiting, b""
-        if held:
-            self._send(held + self._log())
+            waiting, self._waiting = self._waiting, b""
+        if waiting:
+            self._send(waiting + self._log())

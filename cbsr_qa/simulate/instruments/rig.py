@@ -25,7 +25,7 @@ class Wiring:
 
     Parameters
     ----------
-    current_A : of the source; None while its output is off.
+    current_A : current of the source; None while its output is off.
     reading_s : last time between two readings.
     drive, measure : pairs of the sensor type's pattern that the multiplexer connects.
     frame : counts the multiplexer's rounds; readings of one round belong to one frame.
@@ -73,12 +73,12 @@ class EmulatedRig:
         wiring = self.wiring
         if wiring.current_A is None:
             return Electrical(0.0, 0.0, limited=False)
-        frame, at = self.frame(), (wiring.drive, wiring.measure)
-        ohm = float(frame.drive_ohm[at])
-        limited = abs(wiring.current_A) * ohm > wiring.limit_V
-        flowing_A = math.copysign(wiring.limit_V / ohm, wiring.current_A) if limited else wiring.current_A
-        per_ampere = float(frame.voltages[at]) / float(frame.current_A[at])
-        return Electrical(per_ampere * flowing_A, flowing_A, limited)
+        frame, channel = self.frame(), (wiring.drive, wiring.measure)
+        ohm = float(frame.drive_ohm[channel])
+        is_limited = abs(wiring.current_A) * ohm > wiring.limit_V
+        flowing_A = math.copysign(wiring.limit_V / ohm, wiring.current_A) if is_limited else wiring.current_A
+        per_ampere = float(frame.voltages[channel]) / float(frame.current_A[channel])
+        return Electrical(per_ampere * flowing_A, flowing_A, is_limited)
 
     def frame(self) -> SimulatedFrame:
         """Readings of the multiplexer's current round, at its middle [V at the scene's current].

@@ -15,7 +15,7 @@ LATE_S: Final = 3.0
 _BOOT_S: Final = 1.0
 #: The kernel delivers bytes to the far end of a pseudo terminal a moment after they were written [s, real time].
 _HANDED_OVER_S: Final = 0.01
-#: With so many unread bytes, nothing reads them.
+#: Number of unread bytes at which the other end is taken not to read.
 _FULL: Final = 3000
 
 
@@ -117,10 +117,10 @@ class LineSender(ABC):
             return self._send(due)
         if port.down:
             return
-        before = port.unread()
+        unread_before = port.unread()
         self._send(due)
         clock = RealClock()
-        while before < _FULL and not port.down and port.unread() == before:
+        while unread_before < _FULL and not port.down and port.unread() == unread_before:
             if clock.now() > _HANDED_OVER_S:
                 return
 
@@ -176,7 +176,7 @@ class EmulatedThermometer(LineSender):
     Parameters
     ----------
     rig : gives the clock, and the seed of its noise.
-    options : of the driver's table: ``scale``, ``offset``, ``rate_hz``.
+    options : options of the driver's table: ``scale``, ``offset``, ``rate_hz``.
     """
 
     overload = OVERLOAD_K

@@ -93,7 +93,7 @@ class EmulatedSourceMeter:
 
     Parameters
     ----------
-    options : of the driver's table: the driving and the measuring channel.
+    options : options of the driver's table: the driving and the measuring channel.
     send : unused; the instrument only answers.
     """
 
@@ -124,17 +124,21 @@ class EmulatedSourceMeter:
 
     def value(self, name: str) -> Any:
         """Return the value of an attribute, constant, buffer or column."""
-        channel, _, rest = name.partition(".")
+        channel, _, attribute = name.partition(".")
         buffer = self._buffers.get(channel)
-        known: dict[str, Any] = {**_CONSTANTS, **self._attributes, "errorqueue.count": len(self._errors)}
+        values: dict[str, Any] = {**_CONSTANTS, **self._attributes, "errorqueue.count": len(self._errors)}
         if buffer is not None:
-            known |= {f"{channel}.{constant}": float(number) for constant, number in _CHANNEL_CONSTANTS.items()}
-            own = f"{channel}.nvbuffer1"
-            known |= {own: buffer, f"{own}.readings": buffer.readings, f"{own}.statuses": buffer.statuses}
-            known[f"{channel}.source.compliance"] = rest == "source.compliance" and self._is_limited(channel)
-        if name not in known:
+            values |= {f"{channel}.{constant}": float(number) for constant, number in _CHANNEL_CONSTANTS.items()}
+            buffer_name = f"{channel}.nvbuffer1"
+            values |= {
+                buffer_name: buffer,
+                f"{buffer_name}.readings": buffer.readings,
+                f"{buffer_name}.statuses": buffer.statuses,
+            }
+            values[f"{channel}.source.compliance"] = attribute == "source.compliance" and self._is_limited(channel)
+        if name not in values:
             raise _runtime_error(f"attempt to index `{name}' (a nil value)")
-        return known[name]
+        return values[name]
 
     def assign(self, name: str, value: Any) -> None:
         if (bounds := _ATTRIBUTES.get(name)) is None:
@@ -148,9 +152,9 @@ class EmulatedSourceMeter:
         self._wire()
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
-        channel, _, rest = name.partition(".")
-        if channel in self._buffers and rest in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
-            return self._call_channel(channel, rest, arguments)
+        channel, _, function = name.partition(".")
+        if channel in self._buffers and function in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
+            return self._call_channel(channel, function, arguments)
         if name == "reset":
             self._reset()
         elif name == "print":
@@ -192,8 +196,8 @@ class EmulatedSourceMeter:
         self._reset()
 
     def _reset(self) -> None:
-        kept = {_PROMPTS: self._attributes[_PROMPTS]}
-        self._attributes = {name: spec[0] for name, spec in _ATTRIBUTES.items()} | kept
+        kept_attributes = {_PROMPTS: self._attributes[_PROMPTS]}
+        self._attributes = {name: spec[0] for name, spec in _ATTRIBUTES.items()} | kept_attributes
         for buffer in self._buffers.values():
             buffer.clear()
         self._wire()
@@ -231,12 +235,16 @@ class EmulatedSourceMeter:
         return value
 
     def _volts(self, channel: str) -> float:
-        there = self._rig.electrical()
+        electrical = self._rig.electrical()
         if channel == self._measures:
             limit_V = self._attributes[f"{channel}.source.limitv"]
-            volts = there.volts * (_STUCK_SHARE if self._stuck else 1.0)
+            volts = electrical.volts * (_STUCK_SHARE if self._stuck else 1.0)
             return max(-limit_V, min(limit_V, volts))
-        return math.copysign(self._rig.wiring.limit_V, there.current_A) if self._is_limited(channel) else there.volts
+        return (
+            math.copysign(self._rig.wiring.limit_V, electrical.current_A)
+            if self._is_limited(channel)
+            else electrical.volts
+        )
 
     def _amperes(self, channel: str) -> float:
         if channel != self._drives:
@@ -244,10 +252,10 @@ class EmulatedSourceMeter:
         return self._rig.electrical().current_A * (_STUCK_SHARE if self._stuck else 1.0)
 
     def _is_limited(self, channel: str) -> bool:
-        there = self._rig.electrical()
+        electrical = self._rig.electrical()
         if channel == self._drives:
-            return self._rig.wiring.current_A is not None and (there.limited or self._stuck)
-        return abs(there.volts) >= self._attributes[f"{channel}.source.limitv"]
+            return self._rig.wiring.current_A is not None and (electrical.limited or self._stuck)
+        return abs(electrical.volts) >= self._attributes[f"{channel}.source.limitv"]
 
     def _print_buffers(self, first: float, last: float, *columns: list[float]) -> None:
         """Print the columns interleaved; NaN for missing values."""

@@ -260,10 +260,10 @@ class PtyPort(Port):
                 return
             if not data:
                 continue
-            left = self._answer(instrument, data)
-            if left is None:
+            reply = self._answer(instrument, data)
+            if reply is None:
                 return self.hang_up()
-            self._write(master, left)
+            self._write(master, reply)
 
     def _write(self, master: int, left: bytes) -> None:
         while left and not self._over.is_set():

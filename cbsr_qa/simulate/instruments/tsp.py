@@ -84,12 +84,12 @@ class Interpreter:
         return lambda _: self._functions.update({name: (parameters, body)})
 
     def _loop(self) -> Statement:
-        variable, _, first = self._expect("name"), self._expect("="), self._expression()
-        _, last, _ = self._expect(","), self._expression(), self._expect("do")
+        variable, _, start = self._expect("name"), self._expect("="), self._expression()
+        _, stop, _ = self._expect(","), self._expression(), self._expect("do")
         body = self._block("end")
 
         def run(local: Locals) -> None:
-            for number in range(int(_first(first(local))), int(_first(last(local))) + 1):
+            for number in range(int(_first(start(local))), int(_first(stop(local))) + 1):
                 _execute(body, {**local, variable: number})
 
         return run
@@ -106,21 +106,21 @@ class Interpreter:
         return self._call(name) if self._tokens[0] == ("sign", "(") else lambda local: (self._value(name, local),)
 
     def _value(self, name: str, local: Locals) -> Any:
-        known = {**local, **_CONSTANTS}
-        return known[name] if name in known else self._machine.value(name)
+        values = {**local, **_CONSTANTS}
+        return values[name] if name in values else self._machine.value(name)
 
     def _call(self, name: str) -> Expression:
         """Parse the call of a user-defined function, or else of a built-in one."""
         arguments = self._parse_list(self._expression)
 
         def run(local: Locals) -> tuple[Any, ...]:
-            given: list[Any] = [_first(argument(local)) for argument in arguments[:-1]]
+            values: list[Any] = [_first(argument(local)) for argument in arguments[:-1]]
             for argument in arguments[-1:]:  # of the last argument all values count, as in Lua
-                given += argument(local)
+                values += argument(local)
             if name not in self._functions:
-                return self._machine.call(name, given)
+                return self._machine.call(name, values)
             parameters, body = self._functions[name]
-            _execute(body, dict(zip(parameters, given, strict=False)))
+            _execute(body, dict(zip(parameters, values, strict=False)))
             return ()
 
         return run
@@ -133,12 +133,12 @@ class Interpreter:
     def _parse_list(self, parse: Callable[[], T]) -> list[T]:
         """Parse what stands in parentheses, with commas between."""
         self._expect("(")
-        found: list[T] = []
+        items: list[T] = []
         while not self._take_token(")"):
-            if found:
+            if items:
                 self._expect(",")
-            found.append(parse())
-        return found
+            items.append(parse())
+        return items
 
     def _take_token(self, wanted: str) -> str:
         """Take the next token if it is of this kind or this sign; else nothing."""
@@ -168,13 +168,13 @@ def _syntax_error(near: str) -> TspError:
 def _tokens(line: str) -> list[tuple[str, str]]:
     """Split a line into (kind, text); keywords are their own kind, the end is two empty texts."""
     tokens: list[tuple[str, str]] = []
-    left = line.strip()
-    while left:
-        match = _TOKEN.match(left)
+    remaining = line.strip()
+    while remaining:
+        match = _TOKEN.match(remaining)
         if match is None:
-            raise _syntax_error(left[:1])
+            raise _syntax_error(remaining[:1])
         kind = str(match.lastgroup)
         text = match[kind]
         tokens.append((text if text in _KEYWORDS and kind == "name" else kind, text))
-        left = left[match.end() :].lstrip()
+        remaining = remaining[match.end() :].lstrip()
     return [*tokens, ("", "")]

@@ -70,8 +70,8 @@ class _Tails:
         return ((1 - f) ** 2 - self.h(plus) ** 2 * f**2 - self.g(minus) ** 2) / f
 
     def alike(self, one: int, two: int) -> float:
-        whole = self.g(one + two) ** 2 * (one + two) ** 2 / (one * two)
-        return whole - self.g(one) ** 2 * one / two - self.g(two) ** 2 * two / one
+        sum_term = self.g(one + two) ** 2 * (one + two) ** 2 / (one * two)
+        return sum_term - self.g(one) ** 2 * one / two - self.g(two) ** 2 * two / one
 
 
 def sum_interval(parts: Sequence[MeanSquare], confidence: float) -> Interval:
@@ -80,16 +80,16 @@ def sum_interval(parts: Sequence[MeanSquare], confidence: float) -> Interval:
     plus = [part for part in parts if part.factor > 0]
     minus = [part for part in parts if part.factor < 0]
     value = sum(part.factor * part.value for part in parts)
-    below = sum((tails.g(p.freedom) * p.term) ** 2 for p in plus)
-    below += sum((tails.h(m.freedom) * m.term) ** 2 for m in minus)
-    above = sum((tails.h(p.freedom) * p.term) ** 2 for p in plus)
-    above += sum((tails.g(m.freedom) * m.term) ** 2 for m in minus)
-    below += sum(tails.g_mixed(p.freedom, m.freedom) * p.term * m.term for p in plus for m in minus)
-    above += sum(tails.h_mixed(p.freedom, m.freedom) * p.term * m.term for p in plus for m in minus)
+    below_squared = sum((tails.g(p.freedom) * p.term) ** 2 for p in plus)
+    below_squared += sum((tails.h(m.freedom) * m.term) ** 2 for m in minus)
+    above_squared = sum((tails.h(p.freedom) * p.term) ** 2 for p in plus)
+    above_squared += sum((tails.g(m.freedom) * m.term) ** 2 for m in minus)
+    below_squared += sum(tails.g_mixed(p.freedom, m.freedom) * p.term * m.term for p in plus for m in minus)
+    above_squared += sum(tails.h_mixed(p.freedom, m.freedom) * p.term * m.term for p in plus for m in minus)
     if plus and minus:
-        below += _pairs(plus, tails)
-        above += _pairs(minus, tails)
-    return Interval(value - sqrt(max(below, 0.0)), value + sqrt(max(above, 0.0)), confidence)
+        below_squared += _pairs(plus, tails)
+        above_squared += _pairs(minus, tails)
+    return Interval(value - sqrt(max(below_squared, 0.0)), value + sqrt(max(above_squared, 0.0)), confidence)
 
 
 def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
@@ -104,9 +104,11 @@ def _pairs(parts: Sequence[MeanSquare], tails: _Tails) -> float:
 def pivot_interval(squares: Sequence[MeanSquare], function: Callable[[Array], Array], confidence: float) -> Interval:
     """Return the interval of a function (k, draws) → (draws,) of the true mean squares; draws have a fixed seed."""
     random = np.random.default_rng(20000415)
-    drawn = np.array([square.freedom * square.value / random.chisquare(square.freedom, _DRAWS) for square in squares])
+    drawn_variances = np.array(
+        [square.freedom * square.value / random.chisquare(square.freedom, _DRAWS) for square in squares]
+    )
     tail = (1 - confidence) / 2
-    low, high = np.quantile(function(drawn), [tail, 1 - tail])
+    low, high = np.quantile(function(drawn_variances), [tail, 1 - tail])
     return Interval(float(low), float(high), confidence)
 
 
@@ -144,8 +146,8 @@ class GaugeAnova(Variation):
     table : before pooling, F of sensor and appraiser against the interaction.
     interaction_pooled : whether the interaction is part of repeatability.
     appraiser_variance, interaction_variance : the two parts of reproducibility; the second is None where pooled.
-    gauge_percent_contribution_interval : of the gauge's share of the total variance [%].
-    categories_interval : of the uncut number of categories.
+    gauge_percent_contribution_interval : interval of the gauge's share of the total variance [%].
+    categories_interval : interval of the uncut number of categories.
     """
 
     table: tuple[Row, ...]
@@ -202,12 +204,12 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
     def categories(drawn: Array) -> Array:
         return CATEGORY_FACTOR * np.sqrt(1 / gauge_share(drawn) - 1)
 
-    found = _variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser)
+    shares = _variation(squares, gauge, station, interaction, tolerance, confidence, study.appraiser)
     return GaugeAnova(
-        components=found.components,
-        categories=found.categories,
-        categories_uncut=found.categories_uncut,
-        notes=found.notes,
+        components=shares.components,
+        categories=shares.categories,
+        categories_uncut=shares.categories_uncut,
+        notes=shares.notes,
         table=tuple(rows.values()),
         interaction_pooled=pooled,
         appraiser_variance=station.value,
@@ -256,8 +258,8 @@ def _squares(rows: dict[Source, Row], shape: tuple[int, int, int], pooled: bool)
 
 def _component(squares: _Squares, factors: tuple[float, float, float, float], confidence: float) -> Variance:
     """Σ factor × mean square of sensor, station, interaction and trials, with its interval."""
-    parts = squares.parts(*factors)
-    return clip_at_zero(sum(part.factor * part.value for part in parts), sum_interval(parts, confidence))
+    terms = squares.parts(*factors)
+    return clip_at_zero(sum(part.factor * part.value for part in terms), sum_interval(terms, confidence))
 
 
 def _variation(
@@ -272,25 +274,25 @@ def _variation(
     """Sum the components as AIAG does: each is cut at zero first, then summed to totals."""
     p, o, r = squares.shape
     repeatability = _component(squares, (0, 0, 0, 1), confidence)
-    apart = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), -1 / r), confidence)
+    reproducibility = _component(squares, (0, 1 / (p * r), (p - 1) / (p * r), -1 / r), confidence)
     sensor = _component(squares, (1 / (o * r), 0, -1 / (o * r), 0), confidence)
-    between = station.value + (interaction.value if interaction else 0.0)
+    reproducibility_value = station.value + (interaction.value if interaction else 0.0)
     # Total = [p MS_s + o MS_o + (po − p − o) MS_so + po(r − 1) MS_t] / (por).
-    total = (1 / (o * r), 1 / (p * r), (p * o - p - o) / (p * o * r), (r - 1) / r)
-    whole = _component(squares, total, confidence)
-    both = repeatability.value + between
-    named = {appraiser: station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
+    total_factors = (1 / (o * r), 1 / (p * r), (p * o - p - o) / (p * o * r), (r - 1) / r)
+    total_variance = _component(squares, total_factors, confidence)
+    gauge_value = repeatability.value + reproducibility_value
+    variance_by_name = {appraiser: station, "sensor": sensor} | ({"interaction": interaction} if interaction else {})
     notes = tuple(
         f"the estimated {name} variance is negative and is set to zero"
-        for name, part in named.items()
-        if part.estimate < 0
+        for name, variance in variance_by_name.items()
+        if variance.estimate < 0
     )
     return variation(
         repeatability,
-        Variance(between, apart.estimate, apart.interval),
-        Variance(both, gauge.estimate, gauge.interval),
+        Variance(reproducibility_value, reproducibility.estimate, reproducibility.interval),
+        Variance(gauge_value, gauge.estimate, gauge.interval),
         sensor,
-        Variance(both + sensor.value, whole.estimate, whole.interval),
+        Variance(gauge_value + sensor.value, total_variance.estimate, total_variance.interval),
         tolerance=tolerance,
         notes=notes,
     )

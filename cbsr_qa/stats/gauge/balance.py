@@ -7,7 +7,7 @@ from typing import Final
 
 from cbsr_qa.stats.gauge.crossed_study import on, usual_trials
 
-#: Up to this many stations every choice is tried (2¹² of them); beyond it, only the best choice of each size.
+#: Largest number of stations for which every choice is tried (2¹² of them); beyond it, only the best of each size.
 _MOST_TRIED: Final = 12
 
 
@@ -42,9 +42,13 @@ def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str
     trials = usual_trials(map(len, cells.values()))
     return tuple(
         f"{sensor} {on(appraiser)} {station} has "
-        + (f"{len(found)} of {_runs(trials)}" if len(found) < trials else f"{_runs(len(found))} instead of {trials}")
-        for (sensor, station), found in cells.items()
-        if len(found) != trials
+        + (
+            f"{len(run_indices)} of {_runs(trials)}"
+            if len(run_indices) < trials
+            else f"{_runs(len(run_indices))} instead of {trials}"
+        )
+        for (sensor, station), run_indices in cells.items()
+        if len(run_indices) != trials
     )
 
 
@@ -61,15 +65,17 @@ def largest_balanced(sensors: Sequence[str], stations: Sequence[str]) -> Balance
     """
     cells = _cells(sensors, stations)
     rows, columns = sorted(set(sensors)), sorted(set(stations))
-    most = max(map(len, cells.values()), default=0)
-    best, size = BalancedPart((), (), 0, ()), (0, 0, 0)
+    most_trials = max(map(len, cells.values()), default=0)
+    best, best_size = BalancedPart((), (), 0, ()), (0, 0, 0)
     for chosen in _choices(columns, cells):
-        for trials in range(2, most + 1):
-            whole = [row for row in rows if all(len(cells[row, column]) >= trials for column in chosen)]
-            found = (len(whole) * len(chosen) * trials, len(whole), len(chosen))
-            if len(whole) >= 2 and found > size:
-                kept = sorted(index for row in whole for column in chosen for index in cells[row, column][:trials])
-                best, size = BalancedPart(tuple(whole), tuple(chosen), trials, tuple(kept)), found
+        for trials in range(2, most_trials + 1):
+            full_rows = [row for row in rows if all(len(cells[row, column]) >= trials for column in chosen)]
+            new_size = (len(full_rows) * len(chosen) * trials, len(full_rows), len(chosen))
+            if len(full_rows) >= 2 and new_size > best_size:
+                kept_runs = sorted(
+                    index for row in full_rows for column in chosen for index in cells[row, column][:trials]
+                )
+                best, best_size = BalancedPart(tuple(full_rows), tuple(chosen), trials, tuple(kept_runs)), new_size
     return best
 
 

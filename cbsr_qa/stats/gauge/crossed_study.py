@@ -38,7 +38,7 @@ class Study:
     ----------
     values : (sensors, stations, trials) ndarray, at least two of each.
     sensors, stations : names, sorted.
-    appraiser : what the stations are, for messages.
+    appraiser : noun for the stations, for messages.
     """
 
     values: Array
@@ -59,9 +59,9 @@ class Variance:
 
     Parameters
     ----------
-    value : at least 0.
-    estimate : as it came out, which may be negative.
-    interval : at least 0; None where the method has none.
+    value : variance, at least 0.
+    estimate : estimate before it is cut at zero, which may be negative.
+    interval : interval whose ends are at least 0; None where the method has none.
     """
 
     value: float
@@ -75,9 +75,9 @@ class Component:
 
     Parameters
     ----------
-    variance, deviation : in the square of the values' unit, and in their unit.
+    variance, deviation : variance in the square of the values' unit, and its root in their unit.
     variance_interval : None where the method has none.
-    percent_contribution, percent_study : of the total variance and of the total deviation.
+    percent_contribution, percent_study : percentages of the total variance and of the total deviation.
     percent_tolerance : six deviations over the tolerance; None without one. So is its interval.
     """
 
@@ -141,10 +141,10 @@ def variation(
         contribution, study = 100 * part.value / total.value, 100 * deviation / sqrt(total.value)
         return Component(part.value, deviation, part.interval, contribution, study, of_tolerance, interval)
 
-    parts = (repeatability, reproducibility, gauge, sensor, total)
+    variances = (repeatability, reproducibility, gauge, sensor, total)
     uncut = CATEGORY_FACTOR * sqrt(sensor.value / gauge.value) if gauge.value else None
-    whole = None if uncut is None else max(int(uncut), 1)
-    return Variation(Components(*map(share_of, parts)), whole, uncut, notes)
+    categories = None if uncut is None else max(int(uncut), 1)
+    return Variation(Components(*map(share_of, variances)), categories, uncut, notes)
 
 
 def study(
@@ -156,7 +156,7 @@ def study(
     ----------
     sensors, stations : (N,) names of each run.
     values : (N,); trials of one sensor on one station in their order.
-    appraiser : what the stations are: "station", or "operator" where people are compared.
+    appraiser : noun for the stations: "station", or "operator" where people are compared.
 
     Raises
     ------
@@ -180,8 +180,8 @@ def usual_trials(counts: Iterable[int]) -> int:
 
     Empty cells do not count, however many they are.
     """
-    found = Counter(count for count in counts if count)
-    return max(found, key=lambda count: (found[count], count), default=0)
+    cells_by_count = Counter(count for count in counts if count)
+    return max(cells_by_count, key=lambda count: (cells_by_count[count], count), default=0)
 
 
 def on(appraiser: str) -> str:
@@ -193,19 +193,19 @@ def _check_balance(
     cells: dict[tuple[str, str], list[float]], rows: list[str], columns: list[str], appraiser: str
 ) -> None:
     trials = usual_trials(map(len, cells.values()))
-    for (sensor, station), found in cells.items():
-        if len(found) != trials:
+    for (sensor, station), values in cells.items():
+        if len(values) != trials:
             raise NumericsError(
-                f"gauge study: sensor {sensor} has {len(found)} run{'s' * (len(found) != 1)} {on(appraiser)} "
+                f"gauge study: sensor {sensor} has {len(values)} run{'s' * (len(values) != 1)} {on(appraiser)} "
                 f"{prefix_kind(appraiser, station)}, others have {trials}",
                 remedy=f"a crossed study has every sensor equally often {on(appraiser)} every {appraiser}: add the "
                 "missing runs, or leave that sensor out",
             )
     sizes = (("sensor", "", len(rows)), (appraiser, "", len(columns)), ("run", f" a sensor and {appraiser}", trials))
-    for one, of, count in sizes:
+    for noun, qualifier, count in sizes:
         if count < 2:
-            raise NumericsError(f"gauge study: {count} {one}{'s' * (count != 1)}{of} instead of at least 2")
-    if all(constant(np.array(found)) for found in cells.values()):
+            raise NumericsError(f"gauge study: {count} {noun}{'s' * (count != 1)}{qualifier} instead of at least 2")
+    if all(constant(np.array(values)) for values in cells.values()):
         raise NumericsError(
             "gauge study: repeated runs do not differ at all, so repeatability cannot be estimated",
             remedy="record more digits",
@@ -245,18 +245,18 @@ def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
     appraisers = float(np.ptp(study.values.mean(axis=(0, 2))))
     sensors = float(np.ptp(study.values.mean(axis=(1, 2))))
     repeatability = (mean_range / d2_d3(r)[0]) ** 2
-    between = clip_at_zero((appraisers / d2_star(o, 1)) ** 2 - repeatability / (p * r))
+    reproducibility = clip_at_zero((appraisers / d2_star(o, 1)) ** 2 - repeatability / (p * r))
     sensor = (sensors / d2_star(p, 1)) ** 2
-    gauge = repeatability + between.value
+    gauge = repeatability + reproducibility.value
     note = f"{study.appraiser}s differ no more than repeated runs do: reproducibility was set to zero"
-    parts = (
+    variances = (
         clip_at_zero(repeatability),
-        between,
+        reproducibility,
         clip_at_zero(gauge),
         clip_at_zero(sensor),
         clip_at_zero(gauge + sensor),
     )
-    found = variation(*parts, tolerance=tolerance, notes=(note,) if between.estimate < 0 else ())
+    result = variation(*variances, tolerance=tolerance, notes=(note,) if reproducibility.estimate < 0 else ())
     return GaugeRange(
-        found.components, found.categories, found.categories_uncut, found.notes, mean_range, appraisers, sensors
+        result.components, result.categories, result.categories_uncut, result.notes, mean_range, appraisers, sensors
     )

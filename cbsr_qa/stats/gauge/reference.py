@@ -68,15 +68,15 @@ def straight_line(x: Iterable[float], y: Iterable[float], what: str = "line") ->
         raise NumericsError(f"{what}: {len(xs)} values of x for {len(ys)} of y")
     if constant(xs):
         raise NumericsError(f"{what}: all {len(xs)} points are at {xs[0]:.6g}, so there is no slope")
-    (centre, across), (level, along) = subtract_mean(xs), subtract_mean(ys)
-    squares = fsum(across**2)
-    slope = fsum(across * along) / squares
-    rest = fsum((along - slope * across) ** 2)
-    residual, total = sqrt(rest / (len(xs) - 2)), fsum(along**2)
+    (centre, x_deviations), (level, y_deviations) = subtract_mean(xs), subtract_mean(ys)
+    x_squares = fsum(x_deviations**2)
+    slope = fsum(x_deviations * y_deviations) / x_squares
+    residual_squares = fsum((y_deviations - slope * x_deviations) ** 2)
+    residual, total = sqrt(residual_squares / (len(xs) - 2)), fsum(y_deviations**2)
     if residual <= LEAST_SPREAD * max(abs(level), sqrt(total)):
         raise NumericsError(f"{what}: the points lie on a line of slope {slope:.6g}, so there is no variance")
-    make_contrast(slope, residual / sqrt(squares), len(xs) - 2, what)
-    return RegressionLine(len(xs), centre, level, slope, residual, squares, 1 - rest / total)
+    make_contrast(slope, residual / sqrt(x_squares), len(xs) - 2, what)
+    return RegressionLine(len(xs), centre, level, slope, residual, x_squares, 1 - residual_squares / total)
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,7 +85,7 @@ class Linearity:
 
     Parameters
     ----------
-    line : of bias over reference value, as if references were exact.
+    line : line of bias over reference value, as if references were exact.
     references : the distinct ones, ascending.
     known : (readings, value, standard uncertainty) of each reference whose uncertainty was stated.
     """
@@ -114,15 +114,15 @@ class Linearity:
         A reference that is u too high reads (1 + b) u too low, b the slope.
         """
         line = self.line
-        parts = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
-        return Referenced(contrast.value, contrast.standard_error, contrast.freedom, hypot(*parts))
+        contributions = [n * (level + slope * (x - line.centre)) * (1 + line.slope) * u for n, x, u in self.known]
+        return Referenced(contrast.value, contrast.standard_error, contrast.freedom, hypot(*contributions))
 
     def acceptable(self, confidence: float = 0.95) -> bool:
         """Whether a bias of zero lies within the confidence band at every reference value."""
         return all(self.evaluate(reference).interval(confidence).holds(0.0) for reference in self.references)
 
 
-#: With fewer readings a chart is not informative: its limits come from the same few, so that it hardly ever signals.
+#: Smallest number of readings for a chart; with fewer, its limits come from the same few and it hardly ever signals.
 FEWEST_CHARTED: Final = 8
 
 
@@ -133,8 +133,8 @@ class Stability:
     Parameters
     ----------
     drift : slope of the bias, per day.
-    bias : of all readings.
-    chart : of the bias in order of time; limits from its reference period.
+    bias : bias of all readings.
+    chart : chart of the bias in order of time; limits from its reference period.
     """
 
     drift: Contrast
@@ -161,10 +161,10 @@ def bias(readings: Iterable[float], reference: float, what: str = "bias", *, unc
         Too few or missing readings, or readings that do not differ.
     """
     array = sample(readings, what, least=2, spread=True)
-    found = summary(array, what)
-    scatter = float(found.deviation or 0) / sqrt(len(array))
-    one = make_contrast(found.mean - reference, scatter, len(array) - 1, what)
-    return Referenced(one.value, one.standard_error, one.freedom, uncertainty)
+    moments = summary(array, what)
+    scatter = float(moments.deviation or 0) / sqrt(len(array))
+    contrast = make_contrast(moments.mean - reference, scatter, len(array) - 1, what)
+    return Referenced(contrast.value, contrast.standard_error, contrast.freedom, uncertainty)
 
 
 def linearity(
@@ -182,15 +182,15 @@ def linearity(
     NumericsError
         One reference only, fewer than three or missing readings, or biases that lie exactly on a line.
     """
-    what = "linearity"
-    values = sample(references, f"{what}, reference values")
+    label = "linearity"
+    values = sample(references, f"{label}, reference values")
     distinct = tuple(float(value) for value in np.unique(values))
     if len(distinct) < 2:
-        raise NumericsError(f"{what}: all readings have one reference", remedy="measure references over the range")
-    biases = sample(readings, what, least=3)
+        raise NumericsError(f"{label}: all readings have one reference", remedy="measure references over the range")
+    biases = sample(readings, label, least=3)
     if len(values) != len(biases):
-        raise NumericsError(f"{what}: {len(values)} reference values for {len(biases)} readings")
-    return Linearity(straight_line(values, biases - values, what), distinct, tuple(known))
+        raise NumericsError(f"{label}: {len(values)} reference values for {len(biases)} readings")
+    return Linearity(straight_line(values, biases - values, label), distinct, tuple(known))
 
 
 def stability(times_day: Sequence[float], readings: Sequence[float], reference: float) -> Stability:
@@ -198,7 +198,7 @@ def stability(times_day: Sequence[float], readings: Sequence[float], reference: 
 
     Parameters
     ----------
-    times_day : (n,) in days from any origin, in any order.
+    times_day : (n,) times in days from any origin, in any order.
     readings : (n,), n ≥ 3.
 
     Raises
@@ -206,10 +206,10 @@ def stability(times_day: Sequence[float], readings: Sequence[float], reference: 
     NumericsError
         Too few or missing readings, all at one time, or readings that do not differ.
     """
-    what = "stability"
-    sample(readings, what, least=3)
-    line = straight_line(times_day, readings, what)
+    label = "stability"
+    sample(readings, label, least=3)
+    line = straight_line(times_day, readings, label)
     order = np.argsort(np.asarray(times_day, dtype=float), kind="stable")
     ordered = np.asarray(readings, dtype=float)[order]
-    chart = individuals(ordered - reference, what=what)
-    return Stability(line.rise(), bias(ordered, reference, what), chart)
+    chart = individuals(ordered - reference, what=label)
+    return Stability(line.rise(), bias(ordered, reference, label), chart)

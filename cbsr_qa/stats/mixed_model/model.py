@@ -43,15 +43,15 @@ class Fit:
 
     Parameters
     ----------
-    design : of the fitted runs.
-    effects : (groups + stations,) of every group, and of every station relative to the first of its connected part.
+    design : design of the fitted runs.
+    effects : (groups + stations,) effect of every group, and of every station relative to the first of its part.
     run_deviation : σ; of sensor and run together where the model is fixed.
     sensor_deviation : σ√θ; None where the model is fixed.
     ratio : interval of θ; None where the model is fixed.
     criterion : minus twice the restricted log likelihood; None where the model is fixed.
     notes : weaknesses of the design and the fit, in sentences.
     covariance : (p, p) ndarray of the columns that :meth:`Crossing.kept` names, in the square of the values' unit.
-    freedom : of σ where the model is fixed, of the sensors' variance where it is mixed.
+    freedom : degrees of freedom of σ where the model is fixed, of the sensors' variance where it is mixed.
     small : basis of the degrees of freedom; None where the model is fixed.
     """
 
@@ -90,8 +90,8 @@ class Fit:
             An unknown or the same station twice, or two that no groups connect.
         """
         places = [self.design.index("station", name) for name in (first, second)]
-        one, two = (int(self.design.station_parts[place]) for place in places)
-        if one != two:
+        first_part, second_part = (int(self.design.station_parts[place]) for place in places)
+        if first_part != second_part:
             raise NumericsError(
                 f"stations {first} and {second} cannot be compared: no group ran on stations that connect them",
                 remedy="measure the same sensors on both",
@@ -151,26 +151,26 @@ class _Reduced:
 
     def effects(self, design: Crossing, inner: Array) -> Array:
         """Return the effects in the response's unit, zeros for left-out stations."""
-        every = np.zeros(len(design.groups) + len(design.stations))
-        every[design.independent_columns()] = self.scale * (self.start + inner)
-        every[: len(design.groups)] += self.origin
-        return every
+        all_effects = np.zeros(len(design.groups) + len(design.stations))
+        all_effects[design.independent_columns()] = self.scale * (self.start + inner)
+        all_effects[: len(design.groups)] += self.origin
+        return all_effects
 
 
 def _reduce(design: Crossing, array: Array, what: str) -> _Reduced:
-    origin, away = subtract_mean(array)
-    scale = float(np.abs(away).max())
+    origin, deviations = subtract_mean(array)
+    scale = float(np.abs(deviations).max())
     if scale <= LEAST_SPREAD * float(np.abs(array).max()):
         raise NumericsError(f"{what}: all {len(array)} values are {array[0]:.6g}: there is no variance")
     matrix = design.columns()
     if matrix.shape[0] == matrix.shape[1]:
         raise _nothing_left(what, len(design.sensors), matrix.shape[1])
-    normal, right = (matrix.T @ matrix).toarray(), np.asarray(matrix.T @ (away / scale), dtype=np.float64)
+    normal, right = (matrix.T @ matrix).toarray(), np.asarray(matrix.T @ (deviations / scale), dtype=np.float64)
     start: Array = linalg.solve(normal, right, assume_a="pos")
-    rest = away / scale - matrix @ start
-    if float(np.abs(rest).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
+    residual = deviations / scale - matrix @ start
+    if float(np.abs(residual).max()) * scale <= LEAST_SPREAD * max(float(np.abs(array).max()), scale):
         raise NumericsError(f"{what}: values do not differ within groups and stations: there is no variance")
-    return _Reduced(random_effect_sums(matrix, rest, design.sensor), origin, scale, start)
+    return _Reduced(random_effect_sums(matrix, residual, design.sensor), origin, scale, start)
 
 
 def _nothing_left(what: str, sensors: int, effects: int) -> NumericsError:
@@ -186,21 +186,21 @@ def _inseparable(sums: RandomEffectSums) -> str:
         return "no sensor has more than one run, so variation between sensors and between runs cannot be separated"
     if _repeats(sums) < 1:
         return "the stations' differences use up the repeated runs of sensors: first runs only"
-    left = sums.within_rest()
-    if left <= sums.runs * LEAST_SPREAD**2 or left <= 1e-12 * float(sums.products(0.0)[-1, -1]):
+    within_squares = sums.within_rest()
+    if within_squares <= sums.runs * LEAST_SPREAD**2 or within_squares <= 1e-12 * float(sums.products(0.0)[-1, -1]):
         return "runs of one sensor do not differ: first runs only"
     return ""
 
 
 def _fit_mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
     sums = reduced.sums
-    between = sums.total_sensors + sums.within_rank() - sums.columns
-    if between < 1:
+    between_freedom = sums.total_sensors + sums.within_rank() - sums.columns
+    if between_freedom < 1:
         raise _nothing_left(what, sums.total_sensors, sums.columns)
     ratio = variance_ratio(sums)
     small = small_sample(sums, ratio.value)
-    whole = sums.within + sums.products(ratio.value)
-    inner = np.asarray(np.linalg.solve(whole[:-1, :-1], whole[:-1, -1]), dtype=np.float64)
+    cross_products = sums.within + sums.products(ratio.value)
+    inner = np.asarray(np.linalg.solve(cross_products[:-1, :-1], cross_products[:-1, -1]), dtype=np.float64)
     deviation = reduced.scale * sqrt(ratio.variance)
     return Fit(
         model=Model.MIXED,
@@ -213,22 +213,22 @@ def _fit_mixed(design: Crossing, reduced: _Reduced, what: str) -> Fit:
         notes=(*_notes(ratio, _repeats(sums)), *_weaknesses(design)),
         small=small,
         covariance=deviation**2 * small.adjusted,
-        freedom=float(between),
+        freedom=float(between_freedom),
     )
 
 
 def _fit_fixed(design: Crossing, reduced: _Reduced, reason: str, what: str) -> Fit:
     sums = reduced.sums
-    whole = sums.within + sums.products(0.0)
+    cross_products = sums.within + sums.products(0.0)
     freedom = sums.runs - sums.columns
     if freedom < 1:
         raise _nothing_left(what, sums.runs, sums.columns)
-    inverse = np.asarray(np.linalg.inv(whole[:-1, :-1]), dtype=np.float64)
-    variance = float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / freedom * reduced.scale**2
+    inverse = np.asarray(np.linalg.inv(cross_products[:-1, :-1]), dtype=np.float64)
+    variance = float(np.linalg.cholesky(cross_products)[-1, -1]) ** 2 / freedom * reduced.scale**2
     return Fit(
         model=Model.FIXED,
         design=design,
-        effects=reduced.effects(design, inverse @ whole[:-1, -1]),
+        effects=reduced.effects(design, inverse @ cross_products[:-1, -1]),
         run_deviation=sqrt(variance),
         sensor_deviation=None,
         ratio=None,
@@ -263,11 +263,11 @@ def _weaknesses(design: Crossing) -> tuple[str, ...]:
             "whose difference cannot be separated from the stations'"
         )
     for index, name in enumerate(design.groups):
-        seen = np.unique(design.station[design.group == index])
+        codes = np.unique(design.station[design.group == index])
         part = design.parts[int(design.group_parts[index])]
-        if len(seen) == 1 and len(part.stations) > 1:
+        if len(codes) == 1 and len(part.stations) > 1:
             notes.append(
-                f"{name} ran on {design.stations[seen[0]]} only: its differences from groups on other stations rest "
+                f"{name} ran on {design.stations[codes[0]]} only: its differences from groups on other stations rest "
                 "on those that ran on both"
             )
     return tuple(notes)

@@ -111,24 +111,26 @@ def random_effect_sums(matrix: SparseArray, response: Array, sensor: IntArray) -
     member = sparse.coo_array((np.ones(runs), (np.arange(runs), sensor)), shape=(runs, sensors)).tocsr()
     shares = sparse.diags_array(1 / counts)
     means, mean = (shares @ (member.T @ matrix)).tocsr(), np.bincount(sensor, response) / counts
-    within = _cross((matrix - member @ means).tocsr(), response - mean[sensor])
+    within_products = _cross((matrix - member @ means).tocsr(), response - mean[sensor])
     sizes, place = np.unique(counts, return_inverse=True)
-    alike = [np.flatnonzero(place == index) for index in range(len(sizes))]
-    between = np.stack([_cross(means[those], mean[those]) for those in alike])
-    return RandomEffectSums(runs, sizes.astype(float), np.bincount(place).astype(float), within, between)
+    sensors_by_size = [np.flatnonzero(place == index) for index in range(len(sizes))]
+    between_products = np.stack([_cross(means[members], mean[members]) for members in sensors_by_size])
+    return RandomEffectSums(
+        runs, sizes.astype(float), np.bincount(place).astype(float), within_products, between_products
+    )
 
 
 def _cross(matrix: SparseArray, response: Array) -> Array:
     """[X y]ᵀ[X y] of a sparse X."""
     right = np.asarray(matrix.T @ response, dtype=np.float64)
-    whole = np.empty((len(right) + 1, len(right) + 1))
-    whole[:-1, :-1] = (matrix.T @ matrix).toarray()
-    whole[-1, :-1] = whole[:-1, -1] = right
-    whole[-1, -1] = response @ response
-    return whole
+    products = np.empty((len(right) + 1, len(right) + 1))
+    products[:-1, :-1] = (matrix.T @ matrix).toarray()
+    products[-1, :-1] = products[:-1, -1] = right
+    products[-1, -1] = response @ response
+    return products
 
 
-#: θ tried before the minimum is refined; the likelihood may have two minima.
+#: Values of θ tried before the minimum is refined; the likelihood may have two minima.
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
 _FARTHEST = 1e14
 _CONFIDENCE = 0.95
@@ -176,19 +178,23 @@ class Likelihood:
 
     def slope(self, ratio: float) -> float:
         """Return dℓ/dθ = Σ n h − tr(A⁻¹ XᵀH⁻¹ZZᵀH⁻¹X) − f rᵀH⁻¹ZZᵀH⁻¹r / R."""
-        whole = self.sums.within + self.sums.products(ratio)
-        moved = self.sums.products(ratio, 2, 1)
-        effects = np.linalg.solve(whole[:-1, :-1], whole[:-1, -1])
-        turned = np.append(-effects, 1.0)
-        lost = np.linalg.solve(whole[:-1, :-1], moved[:-1, :-1])
-        trace = float(np.trace(lost))
-        squares = float(turned @ whole @ turned)
-        return self.sums.trace(ratio, 1, 1) - trace - self.freedom * float(turned @ moved @ turned) / squares
+        products = self.sums.within + self.sums.products(ratio)
+        product_slopes = self.sums.products(ratio, 2, 1)
+        effects = np.linalg.solve(products[:-1, :-1], products[:-1, -1])
+        residual_factors = np.append(-effects, 1.0)
+        solved_slopes = np.linalg.solve(products[:-1, :-1], product_slopes[:-1, :-1])
+        trace = float(np.trace(solved_slopes))
+        squares = float(residual_factors @ products @ residual_factors)
+        return (
+            self.sums.trace(ratio, 1, 1)
+            - trace
+            - self.freedom * float(residual_factors @ product_slopes @ residual_factors) / squares
+        )
 
     def variance(self, ratio: float) -> float:
         """Return σ² = R/f."""
-        whole = self.sums.within + self.sums.products(ratio)
-        return float(np.linalg.cholesky(whole)[-1, -1]) ** 2 / self.freedom
+        products = self.sums.within + self.sums.products(ratio)
+        return float(np.linalg.cholesky(products)[-1, -1]) ** 2 / self.freedom
 
 
 def variance_ratio(sums: RandomEffectSums) -> Ratio:
@@ -260,23 +266,25 @@ def small_sample(sums: RandomEffectSums, ratio: float) -> SmallSample:
     def random_products(power: int, times: int) -> Array:
         return sums.products(ratio, power, times)[:-1, :-1]
 
-    plain = np.asarray(np.linalg.inv(inner + random_products(1, 0)), dtype=np.float64)
+    plain_covariance = np.asarray(np.linalg.inv(inner + random_products(1, 0)), dtype=np.float64)
     slopes: Array = -np.stack([inner + random_products(2, 0), random_products(2, 1)])
     mixed = random_products(3, 1)
     curves: Array = np.array([[inner + random_products(3, 0), mixed], [mixed, random_products(3, 2)]])
-    variances = np.asarray(np.linalg.inv(_information(sums, ratio, plain, slopes, curves)), dtype=np.float64)
-    squares = (slopes @ plain)[:, None] @ slopes
+    variances = np.asarray(
+        np.linalg.inv(_information(sums, ratio, plain_covariance, slopes, curves)), dtype=np.float64
+    )
+    squares = (slopes @ plain_covariance)[:, None] @ slopes
     lost = np.einsum("ij,ijkl->kl", variances, curves - squares)
-    adjusted = plain + 2 * plain @ lost @ plain
-    return SmallSample(plain, 0.5 * (adjusted + adjusted.T), slopes, variances)
+    adjusted = plain_covariance + 2 * plain_covariance @ lost @ plain_covariance
+    return SmallSample(plain_covariance, 0.5 * (adjusted + adjusted.T), slopes, variances)
 
 
 def _information(sums: RandomEffectSums, ratio: float, plain: Array, slopes: Array, curves: Array) -> Array:
     """Expected restricted information ½ [tr(V⁻¹V_iV⁻¹V_j) − 2 tr(ΦQ_ij) + tr(ΦP_iΦP_j)] of both variances."""
-    inside = sums.runs - sums.total_sensors
+    within_freedom = sums.runs - sums.total_sensors
     traces = np.array(
         [
-            [inside + sums.trace(ratio, 2, 0), sums.trace(ratio, 2, 1)],
+            [within_freedom + sums.trace(ratio, 2, 0), sums.trace(ratio, 2, 1)],
             [sums.trace(ratio, 2, 1), sums.trace(ratio, 2, 2)],
         ]
     )

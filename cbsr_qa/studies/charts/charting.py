@@ -28,12 +28,13 @@ from cbsr_qa.stats.control_charts import (
 from cbsr_qa.stats.nelson import Rule
 from cbsr_qa.studies.figure_series import Series, figures_of
 
-#: Points without a signal after which a signal is over: lasting changes signal repeatedly, and false alarms should
-#: not be shown longer than necessary.
+#: Number of points without a signal after which a signal is over: lasting changes signal repeatedly, and false
+#: alarms should not be shown longer than necessary.
 STANDS: Final = 5
-#: Signals no further apart belong together: the length of the longest of Nelson's patterns.
+#: Longest gap between signals that belong together: the length of the longest of Nelson's patterns.
 JOINED: Final = 15
-#: Drawn but not counted: one outlier moves it twice, and for undisturbed runs it is wrong in 1 of 110.
+#: Name of the chart that is drawn but not counted: one outlier moves it twice, and it signals in 1 of 110
+#: undisturbed runs.
 UNCOUNTED: Final = "moving range"
 #: Nelson's rules by their numbers.
 RULES: Final = dict(enumerate(Rule, start=1))
@@ -52,8 +53,8 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
 
     Parameters
     ----------
-    values : in the order of runs; for means and ranges an incomplete last group is left out.
-    reference : as in :mod:`cbsr_qa.stats.control_charts`.
+    values : values in the order of runs; charts of means and ranges leave out an incomplete last group.
+    reference : reference period or standard of :mod:`cbsr_qa.stats.control_charts`.
 
     Raises
     ------
@@ -61,35 +62,37 @@ def charts_of(values: Sequence[float], settings: ChartSettings, reference: Refer
         Too few values, or equal values in the reference.
     """
     count = len(values)
-    single = tuple(range(count))
+    single_ends = tuple(range(count))
     rules = [RULES[number] for number in settings.rules]
     match settings.chart:
         case ChartKind.INDIVIDUALS:
-            first = Charted(individuals(values, reference=reference, rules=rules), single)
+            main_chart = Charted(individuals(values, reference=reference, rules=rules), single_ends)
             if count < 2:
-                return (first,)
-            return first, Charted(moving_range(values, reference=reference), single[1:])
+                return (main_chart,)
+            return main_chart, Charted(moving_range(values, reference=reference), single_ends[1:])
         case ChartKind.MEANS:
             size = settings.subgroup
             groups = [values[begin : begin + size] for begin in range(0, count - size + 1, size)]
             ends = tuple(range(size - 1, len(groups) * size, size))
             if not groups:
                 raise NumericsError(f"{count} values make no group of {size}")
-            return tuple(Charted(part, ends) for part in means_and_ranges(groups, reference=reference, rules=rules))
+            return tuple(Charted(chart, ends) for chart in means_and_ranges(groups, reference=reference, rules=rules))
         case ChartKind.EWMA:
-            return (Charted(ewma(values, weight=settings.weight, width=settings.width, reference=reference), single),)
+            return (
+                Charted(ewma(values, weight=settings.weight, width=settings.width, reference=reference), single_ends),
+            )
         case ChartKind.CUSUM:
-            both = cusum(values, slack=settings.slack, threshold=settings.threshold, reference=reference)
-            return tuple(Charted(part, single) for part in both)
+            cusum_charts = cusum(values, slack=settings.slack, threshold=settings.threshold, reference=reference)
+            return tuple(Charted(chart, single_ends) for chart in cusum_charts)
 
 
 def standard_of(values: Sequence[float], settings: ChartSettings) -> Standard:
     """Return mean and short-term deviation of a reference period. NumericsError for too few or equal values."""
-    first = charts_of(values, settings, None)[0].chart
-    centre = first.centre
+    main_chart = charts_of(values, settings, None)[0].chart
+    centre = main_chart.centre
     if settings.chart is ChartKind.CUSUM:
         centre = individuals(values).centre  # a sum's own centre is zero
-    return Standard(centre, first.deviation)
+    return Standard(centre, main_chart.deviation)
 
 
 def standing(
@@ -101,21 +104,25 @@ def standing(
     to the latest by gaps of at most :data:`JOINED`.
     """
     signals = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
-    begun = sorted(filter(None, signals), key=lambda signal: signal[0])
-    if not begun:
+    active_signals = sorted(filter(None, signals), key=lambda signal: signal[0])
+    if not active_signals:
         return None
-    begin = begun[0][0]
-    began = _sum_began(charts, begin)
-    first, grew = lines[begin], None if began is None else lines[began]
+    begin = active_signals[0][0]
+    shift_begin = _sum_began(charts, begin)
+    first_line, first_summed_line = lines[begin], None if shift_begin is None else lines[shift_begin]
     return StandingSignal(
         reference.label,
-        tuple(dict.fromkeys(rule for _, own in begun for rule in own)),
-        first.run,
-        first.serial,
-        first.started_at,
+        tuple(dict.fromkeys(rule for _, chart_rules in active_signals for rule in chart_rules)),
+        first_line.run,
+        first_line.serial,
+        first_line.started_at,
         len(lines) - begin,
-        cut and (begin < JOINED * reference.subgroup or began == 0),
-        *(() if grew is None else (grew.run, grew.serial, grew.started_at)),
+        cut and (begin < JOINED * reference.subgroup or shift_begin == 0),
+        *(
+            ()
+            if first_summed_line is None
+            else (first_summed_line.run, first_summed_line.serial, first_summed_line.started_at)
+        ),
     )
 
 
@@ -134,24 +141,24 @@ def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
 
 def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
     """Index of the value at which the active signal began, and the rules that signalled since."""
-    chart, first = charted.chart, len(charted.chart.points)
+    chart, first_index = charted.chart, len(charted.chart.points)
     for signal in reversed(chart.signals):
-        if first - signal.index > (STANDS if first == len(chart.points) else JOINED):
+        if first_index - signal.index > (STANDS if first_index == len(chart.points) else JOINED):
             break
-        first = signal.index
-    if first == len(chart.points):
+        first_index = signal.index
+    if first_index == len(chart.points):
         return None
-    of = f"{chart.name}, " if chart.name not in ("individuals", "means") else ""
-    rules = dict.fromkeys(f"{of}{signal.rule}" for signal in chart.signals if signal.index >= first)
-    return charted.ends[first], tuple(rules)
+    chart_prefix = f"{chart.name}, " if chart.name not in ("individuals", "means") else ""
+    rules = dict.fromkeys(f"{chart_prefix}{signal.rule}" for signal in chart.signals if signal.index >= first_index)
+    return charted.ends[first_index], tuple(rules)
 
 
-#: Most runs drawn; of longer charts only the latest.
+#: Largest number of runs drawn; of longer charts the latest runs are drawn.
 MOST_DRAWN: Final = 400
-#: With fewer runs the uncertainty of limits is reported.
+#: Number of runs below which the uncertainty of limits is reported.
 FEW_RUNS: Final = 25
 
-# What is noted of a chart.
+# Notes on a chart.
 _FEW: Final = "limits from {runs} runs are uncertain: false alarms may be several times as frequent"
 _DOUBTFUL: Final = "the reference period itself breaks rules, so its limits are doubtful: {rules}"
 _ANEW: Final = "{count} of the {runs} runs of the reference have a value now: some were analysed again"
@@ -172,7 +179,7 @@ class ChartPhase:
 
     Parameters
     ----------
-    runs : of each point; for a group the last.
+    runs : run of each point; for a group the last.
     """
 
     name: str
@@ -192,9 +199,9 @@ class MetricChart:
     Parameters
     ----------
     why : reason for a missing reference and chart.
-    reference_days : of the first and last run of the reference (UTC).
-    runs, values : from the first run of the reference on; ``reference_runs`` of them belong to it.
-    charts : of the reference period, then of later runs, with the same limits.
+    reference_days : days of the first and last run of the reference (UTC).
+    runs, values : runs and their values from the first run of the reference; ``reference_runs`` of them belong to it.
+    charts : charts of the reference period, then of later runs, with the same limits.
     """
 
     label: str
@@ -221,15 +228,15 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
         return refuse_chart(series, f"runs are in {series.unit}, the reference in {reference.unit}")
     lines, count = series.lines, sum(line.run <= reference.last_run for line in series.lines)
     standard = Standard(reference.mean, reference.deviation)
-    before = _charts(series.values[:count], reference, standard)
-    after = _charts(series.values[count:], reference, standard)
-    doubtful = dict.fromkeys(signal.rule for charted in before for signal in charted.chart.signals)
-    rest = (len(series.values) - count) % reference.subgroup
+    reference_charts = _charts(series.values[:count], reference, standard)
+    monitored_charts = _charts(series.values[count:], reference, standard)
+    doubtful_rules = dict.fromkeys(signal.rule for charted in reference_charts for signal in charted.chart.signals)
+    ungrouped_count = (len(series.values) - count) % reference.subgroup
     notes = (
         _FEW.format(runs=reference.runs) if reference.runs < FEW_RUNS else "",
-        _DOUBTFUL.format(rules=list_names(list(doubtful))) if doubtful else "",
+        _DOUBTFUL.format(rules=list_names(list(doubtful_rules))) if doubtful_rules else "",
         _ANEW.format(count=count, runs=reference.runs) if count != reference.runs else "",
-        _REST.format(runs=plural(rest, "run"), size=reference.subgroup) if rest else "",
+        _REST.format(runs=plural(ungrouped_count, "run"), size=reference.subgroup) if ungrouped_count else "",
     )
     return MetricChart(
         label=reference.label,
@@ -240,8 +247,11 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
         reference=reference,
         reference_days=(lines[0].day, lines[count - 1].day) if count else None,
         reference_runs=count,
-        signal=standing(after, lines[count:], reference, cut=False),
-        charts=(*_phases(before, lines, "reference"), *_phases(after, lines[count:], "monitored")),
+        signal=standing(monitored_charts, lines[count:], reference, cut=False),
+        charts=(
+            *_phases(reference_charts, lines, "reference"),
+            *_phases(monitored_charts, lines[count:], "monitored"),
+        ),
     )
 
 

@@ -23,7 +23,7 @@ from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, 
 from cbsr_qa.system.clock import RealClock
 from cbsr_qa.system.words import echo
 
-# What is noted of all charts, or why a metric has none.
+# Notes on all charts, and reasons why a metric has none.
 _FROM_FIRST: Final = (
     "the reference period begins with the station's first run ({day}); --reference-from chooses another day"
 )
@@ -77,12 +77,12 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
             notes += () if period.since else (_FROM_FIRST.format(day=lines[0].day),)
             charts = _with_period(store, request, period, table, lines)
         else:
-            held = _select_references(store, request, recipe)
+            references = _select_references(store, request, recipe)
             if request.retire is not None:
-                notes += (_retire(store, request, held),)
-                held = _select_references(store, request, recipe)
-            empty = request.retire is not None and not held
-            charts = () if empty else _against_stored(table, request, recipe, lines, held)
+                notes += (_retire(store, request, references),)
+                references = _select_references(store, request, recipe)
+            all_retired = request.retire is not None and not references
+            charts = () if all_retired else _against_stored(table, request, recipe, lines, references)
         stored = period is not None and not request.dry_run
         if stored:
             store.charts.save([chart.reference for chart in charts if chart.reference is not None])
@@ -94,7 +94,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
 
 def _select_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     """Return the charted runs, of one recipe; refuse if there are none, or several recipes."""
-    golden, here = request.golden, prefix_kind("station", request.station)
+    golden, station = request.golden, prefix_kind("station", request.station)
     selection = RunSelection(
         serials=(golden,) if golden else (), stations=(request.station,), checks=bool(golden), recipe=request.recipe
     )
@@ -102,15 +102,20 @@ def _select_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     if len(recipes) == 1:
         return replace(selection, recipe=recipes.pop())
     if recipes:
-        raise RefusedError(f"{here} ran {several_recipes(recipes)}", remedy="choose one by --recipe")
+        raise RefusedError(f"{station} ran {several_recipes(recipes)}", remedy="choose one by --recipe")
     check_names(store, replace(selection, serials=()))
-    ran = {run.recipe for run in store.fleet.read_lines(replace(selection, recipe=None)) if run.outcome is not None}
-    if ran and request.recipe is not None:
+    recipes_run = {
+        run.recipe for run in store.fleet.read_lines(replace(selection, recipe=None)) if run.outcome is not None
+    }
+    if recipes_run and request.recipe is not None:
         raise RefusedError(
-            f"{here} has no runs of recipe {echo(request.recipe, 64)}", remedy=nearest(request.recipe, ran, "it ran")
+            f"{station} has no runs of recipe {echo(request.recipe, 64)}",
+            remedy=nearest(request.recipe, recipes_run, "it ran"),
         )
-    of = f"of sensor {echo(golden, 64)}" if golden else "of production"
-    raise RefusedError(f"{here} has no analysed run {of}", remedy="golden sensors are charted by --golden SERIAL")
+    origin = f"of sensor {echo(golden, 64)}" if golden else "of production"
+    raise RefusedError(
+        f"{station} has no analysed run {origin}", remedy="golden sensors are charted by --golden SERIAL"
+    )
 
 
 def _select_references(store: Repository, request: ChartsRequest, recipe: str) -> list[ChartReference]:
@@ -125,9 +130,9 @@ def _select_references(store: Repository, request: ChartsRequest, recipe: str) -
 
 def _retire(store: Repository, request: ChartsRequest, held: Sequence[ChartReference]) -> str:
     """Retire the charts of one kind, for the named metrics or all; return a note with their names."""
-    now, by, why = RealClock().wall(), request.operator, request.why
+    retired_at, operator, why = RealClock().wall(), request.operator, request.why
     rows = [
-        replace(reference, reference=store.new_id(), operator=by, made_at=now, why=why, retired=True)
+        replace(reference, reference=store.new_id(), operator=operator, made_at=retired_at, why=why, retired=True)
         for reference in held
         if reference.chart is request.retire
     ]
@@ -138,7 +143,7 @@ def _retire(store: Repository, request: ChartsRequest, held: Sequence[ChartRefer
             remedy=f"charts that hold are {kinds}" if kinds else "this station has no charts",
         )
     store.charts.save(rows)
-    return _RETIRED.format(operator=by, charts=list_names([row.label for row in rows]))
+    return _RETIRED.format(operator=operator, charts=list_names([row.label for row in rows]))
 
 
 def _against_stored(
@@ -146,17 +151,17 @@ def _against_stored(
 ) -> tuple[MetricChart, ...]:
     lacking = [name for name in request.metrics if name not in {reference.name for reference in held}]
     if not held or lacking:
-        of = f" for {list_names(lacking)}" if lacking else ""
+        clause = f" for {list_names(lacking)}" if lacking else ""
         series_of(lines, figures_of(table), request.metrics)  # a metric that was never measured is refused first
         raise RefusedError(
-            f"no reference period is stored{of} for recipe {recipe} on {prefix_kind('station', request.station)}",
+            f"no reference period is stored{clause} for recipe {recipe} on {prefix_kind('station', request.station)}",
             remedy="store one with --reference-runs N or --reference-until DATE, and --operator",
         )
     figures = reference_figures(table, held)
     charts: list[MetricChart] = []
     for reference in held:
-        own = [line for line in lines if line.run >= reference.first_run]
-        members = series_of(own, {reference.key: figures.get(reference.key, {})}, [reference.name])
+        later_lines = [line for line in lines if line.run >= reference.first_run]
+        members = series_of(later_lines, {reference.key: figures.get(reference.key, {})}, [reference.name])
         charts += [metric_chart(series, reference) for series in members]
     return tuple(charts)
 
@@ -164,22 +169,26 @@ def _against_stored(
 def _with_period(
     store: Repository, request: ChartsRequest, period: ReferencePeriod, table: FleetTable, lines: Sequence[RunLine]
 ) -> tuple[MetricChart, ...]:
-    own = [line for line in lines if period.since is None or line.day >= period.since]
-    if not own:
-        here = prefix_kind("station", request.station)
-        raise RefusedError(f"{here} has no run since {period.since}", remedy="begin earlier")
+    period_lines = [line for line in lines if period.since is None or line.day >= period.since]
+    if not period_lines:
+        station = prefix_kind("station", request.station)
+        raise RefusedError(f"{station} has no run since {period.since}", remedy="begin earlier")
     figures = figures_of(table, by_location=request.by_location)
     if request.by_location:
-        wanted = request.metrics or {key.name for key in figures}
-        of_locations = {key: of for key, of in figures.items() if key.location and key.name in wanted}
+        names = request.metrics or {key.name for key in figures}
+        of_locations = {
+            key: key_figures for key, key_figures in figures.items() if key.location and key.name in names
+        }
         figures = of_locations or figures_of(table)
-    series = series_of(own, figures, request.metrics)
-    charts = tuple(_new_chart(store, member, request, period, own[0].recipe) for member in series)
+    series = series_of(period_lines, figures, request.metrics)
+    charts = tuple(_new_chart(store, member, request, period, period_lines[0].recipe) for member in series)
     if not charts:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
     if all(chart.reference is None for chart in charts):
-        whys = "\n".join("; ".join((f"  {member.label}: {member.why}", *member.notes)) for member in charts[:10])
-        raise RefusedError(f"this reference period gives no limits:\n{whys}", remedy="choose another or a longer one")
+        reasons = "\n".join("; ".join((f"  {member.label}: {member.why}", *member.notes)) for member in charts[:10])
+        raise RefusedError(
+            f"this reference period gives no limits:\n{reasons}", remedy="choose another or a longer one"
+        )
     return charts
 
 
@@ -192,9 +201,9 @@ def _new_chart(
     if size > 1 and count < FEWEST_GROUPS * size:
         groups = plural(count // size, "whole group")
         return refuse_chart(series, _FEW_GROUPS.format(runs=count, groups=groups, size=size, least=FEWEST_GROUPS))
-    if rest := count % size:
-        left = _LEFT.format(runs=plural(rest, "run"), size=size)
-        count, series = count - rest, replace(series, notes=(*series.notes, left))
+    if ungrouped_count := count % size:
+        note = _LEFT.format(runs=plural(ungrouped_count, "run"), size=size)
+        count, series = count - ungrouped_count, replace(series, notes=(*series.notes, note))
     try:
         standard = standard_of(series.values[:count], request.settings)
     except NumericsError as error:

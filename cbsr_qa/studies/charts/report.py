@@ -78,22 +78,22 @@ def _page(charts: Charts, shared: tuple[str, ...]) -> Page:
 
 
 def _banner(found: Charts, charted: int) -> Banner:
-    here, charts = prefix_kind("station", found.station), plural(charted, "chart")
+    station, charts = prefix_kind("station", found.station), plural(charted, "chart")
     if not found.in_control:
         first = min(found.signals, key=lambda signal: signal.since).words()
-        reason = _SIGNALS.format(signals=len(found.signals), charts=charts, station=here, words=first)
+        reason = _SIGNALS.format(signals=len(found.signals), charts=charts, station=station, words=first)
         return Banner("fail", "✗", "Out of control", reason)
     if not charted:
-        return Banner("plain", _NONE, "Nothing is charted", _RETIRED.format(station=here))
-    return Banner("pass", "✓", "In control", _WELL.format(charts=charts, station=here))
+        return Banner("plain", _NONE, "Nothing is charted", _RETIRED.format(station=station))
+    return Banner("pass", "✓", "In control", _WELL.format(charts=charts, station=station))
 
 
 def _set(limits: ChartReference) -> str:
-    by = f" by {limits.operator}" if limits.operator else ""
+    by_operator = f" by {limits.operator}" if limits.operator else ""
     why = f" ({limits.why})" if limits.why else ""
     ruled = limits.chart in (ChartKind.INDIVIDUALS, ChartKind.MEANS)
     rules = f"; Nelson's rules {', '.join(map(str, limits.rules))}" if ruled else ""
-    return _SET.format(chart=limits.chart, by=by, day=f"{limits.made_at:%Y-%m-%d}", why=why, rules=rules)
+    return _SET.format(chart=limits.chart, by=by_operator, day=f"{limits.made_at:%Y-%m-%d}", why=why, rules=rules)
 
 
 def _reading(charts: Charts) -> Iterator[Paragraph]:

@@ -11,9 +11,9 @@ from cbsr_qa.stats.gauge.reference import FEWEST_CHARTED
 from cbsr_qa.stats.nelson import MOST
 from cbsr_qa.studies.charts.charting import RULES
 
-#: With fewer runs limits are almost meaningless.
+#: Smallest number of runs; limits from fewer are almost meaningless.
 FEWEST_RUNS: Final = FEWEST_CHARTED
-#: With fewer ranges of groups the deviation is almost unknown.
+#: Smallest number of groups; with fewer ranges the deviation is almost unknown.
 FEWEST_GROUPS: Final = 3
 _DEFAULT: Final = ChartSettings()
 
@@ -39,11 +39,11 @@ class ChartsRequest:
 
     Parameters
     ----------
-    recipe : of the runs; None if the station's runs have only one.
-    golden : only runs of this sensor; None for production runs.
+    recipe : recipe of the runs; None if the station's runs have only one.
+    golden : serial of the golden sensor whose runs are charted; None for production runs.
     metrics : names; none for all with a stored reference, or (with a new period) those the recipe limits.
-    by_location : one chart per location.
-    period : to set; None to use stored references.
+    by_location : True for one chart per location.
+    period : reference period to set; None to use stored references.
     dry_run : show the result of a new period, but store nothing.
     retire : kind of charts to retire first, or None.
     operator, why : who sets the period or retires charts, and the reason.
@@ -104,8 +104,8 @@ def _check_period(period: ReferencePeriod, size: int) -> None:
         raise RefusedError(f"a reference period of {runs} runs is too short", remedy=f"at least {FEWEST_RUNS}")
     least = FEWEST_GROUPS * size
     if runs is not None and size > 1 and (runs < least or runs % size):
-        near = sorted({max(least, runs - runs % size), max(least, runs - runs % size + size)})
+        nearest_counts = sorted({max(least, runs - runs % size), max(least, runs - runs % size + size)})
         raise RefusedError(
             f"a reference period of {runs} runs is not {FEWEST_GROUPS} or more whole groups of {size}",
-            remedy=f"give {' or '.join(map(str, near))}",
+            remedy=f"give {' or '.join(map(str, nearest_counts))}",
         )

@@ -53,7 +53,7 @@ def cautions(
         yield _LEFT_OUT.format(runs=plural(count, "run"), why=why)
     yield from _caution_groups(members, grouping, terms)
     yield from _name_common_batches(grouping, design)
-    for what, names in (
+    for mixed_kind, names in (
         ("recipes", [run.recipe for run in members]),
         ("software versions", [] if terms.by is By.SOFTWARE else software_words(members)),
         ("simulated and real benches", ["simulated" if run.simulated else "real" for run in members]),
@@ -61,7 +61,7 @@ def cautions(
         counts = Counter(names).most_common()
         if len(counts) > 1:
             shares = "; ".join(f"{name} ({plural(count, 'run')})" for name, count in counts)
-            yield _MIXED.format(what=what, shares=shares)
+            yield _MIXED.format(what=mixed_kind, shares=shares)
     clocks = [*_from_the_future(members, now), *_out_of_order(members)]
     clocks += [*_unlike_identifiers(members), *_far_from_others(members)]
     yield from clocks
@@ -103,17 +103,17 @@ def _from_the_future(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:
 def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name stations whose clock was set back: a run made after another one began before it."""
     for station, members in _group_by_station(runs):
-        latest, back = members[0], []
+        latest, runs_set_back = members[0], []
         for run in members:
             if run.started_at < latest.started_at - _DAY:
-                back.append(run)
+                runs_set_back.append(run)
             else:
                 latest = max(latest, run, key=lambda run: run.started_at)
-        if back:
-            first, last = (
-                f"{run.started_at:%Y-%m-%d}" for run in (min(back, key=lambda run: run.started_at), latest)
+        if runs_set_back:
+            earliest_day, latest_day = (
+                f"{run.started_at:%Y-%m-%d}" for run in (min(runs_set_back, key=lambda run: run.started_at), latest)
             )
-            yield _SET_BACK.format(station=station, runs=_runs(back), back=first, day=last)
+            yield _SET_BACK.format(station=station, runs=_runs(runs_set_back), back=earliest_day, day=latest_day)
 
 
 def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
@@ -126,10 +126,10 @@ def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
         return
     for station, members in _group_by_station(run for run in runs if abs(away.get(run.run, 0.0)) > 1):
         days = median(away[run.run] for run in members)
-        began = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
+        start_days = sorted(f"{run.started_at:%Y-%m-%d}" for run in members)
         side = "later" if days > 0 else "earlier"
         yield _IDENTIFIERS.format(
-            station=station, runs=_runs(members), first=began[0], last=began[-1], days=abs(days), side=side
+            station=station, runs=_runs(members), first=start_days[0], last=start_days[-1], days=abs(days), side=side
         )
 
 
@@ -141,14 +141,16 @@ def _far_from_others(runs: Sequence[RunLine]) -> Iterator[str]:
             days[run.station][run.batch].append(run.started_at.timestamp() / 86400)
     for station, batches in days.items():
         gaps = []
-        for batch, here in batches.items():
-            others = [day for name in days if name != station for day in days[name].get(batch, ())]
-            if others:
-                gaps.append((abs(median(here) - median(others)), batch))
-        far = [batch for gap, batch in gaps if gap > _LONGEST_BATCH.days]
+        for batch, station_days in batches.items():
+            other_days = [day for name in days if name != station for day in days[name].get(batch, ())]
+            if other_days:
+                gaps.append((abs(median(station_days) - median(other_days)), batch))
+        far_batches = [batch for gap, batch in gaps if gap > _LONGEST_BATCH.days]
         # Of two stations each is far from the other; of more, the outlier has most gaps.
-        if far and len(far) == len(gaps):
-            yield _FAR.format(station=prefix_kind("station", station), batches=list_names(far), days=max(gaps)[0])
+        if far_batches and len(far_batches) == len(gaps):
+            yield _FAR.format(
+                station=prefix_kind("station", station), batches=list_names(far_batches), days=max(gaps)[0]
+            )
 
 
 def _group_by_station(runs: Iterable[RunLine]) -> Iterator[tuple[str, list[RunLine]]]:

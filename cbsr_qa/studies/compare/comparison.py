@@ -57,8 +57,8 @@ class MetricComparison:
 
     Parameters
     ----------
-    differences : of each other group from the reference; empty if the metric belongs to the station alone.
-    stations : of each other station from the first; empty for a single station, or if stations are the groups.
+    differences : difference of each other group from the reference; empty if the metric belongs to the station alone.
+    stations : difference of each other station from the first; empty for one station, or if stations are the groups.
     samples : (group, station, values of sensors), for plots.
     notes : weaknesses of design and fit, and omissions.
     """
@@ -78,8 +78,8 @@ class Comparison:
     Parameters
     ----------
     compared : whether any difference could be estimated.
-    metrics : of each metric and each other group; one entry without a group if a metric is not compared.
-    of_metrics : the same, metric by metric, with data for plots.
+    metrics : difference in each metric for each other group; one entry without a group if a metric is not compared.
+    of_metrics : the same differences, metric by metric, with data for plots.
     headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.report.compare_outcome`.
     """
 
@@ -130,11 +130,11 @@ class Comparison:
 
     def side(self, metric: MetricComparison, difference: Estimated) -> str:
         """Describe on which side of its reference a group lies; as better or worse if a single limit decides that."""
-        above, values = (difference.difference or 0.0) > 0, metric.values
+        is_above, values = (difference.difference or 0.0) > 0, metric.values
         one_limit = (values.lower is None) != (values.upper is None)
         if one_limit and isinstance(difference, Difference) and self.by is not By.STATION:
-            return "worse than" if above is (values.lower is None) else "better than"
-        return "above" if above else "below"
+            return "worse than" if is_above is (values.lower is None) else "better than"
+        return "above" if is_above else "below"
 
 
 def compare_groups(selection: RunSelection, terms: Terms, *, database: str | None, now: datetime) -> Comparison:
@@ -171,7 +171,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
 
     Parameters
     ----------
-    now : by the computer's clock, to recognise future times.
+    now : time of the computer's clock, to recognise future times.
 
     Raises
     ------
@@ -179,15 +179,15 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         If no run counts, or a named group or metric does not exist (with the nearest name).
     """
     grouping = group_runs(table.runs, terms)
-    every = list(values_of(table, grouping.used))
-    chosen = _choose_metrics(every, terms)
+    all_values = list(values_of(table, grouping.used))
+    chosen_values = _choose_metrics(all_values, terms)
     design = design_of(table.runs, grouping, terms)
-    means = np.array([values.mean for values in every]).reshape(-1, len(table.runs))
-    grouping, referred = choose_reference(grouping, design, np.any(~np.isnan(means), axis=0), terms)
+    means = np.array([values.mean for values in all_values]).reshape(-1, len(table.runs))
+    grouping, reference_notes = choose_reference(grouping, design, np.any(~np.isnan(means), axis=0), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    unadjusted = [_compare_metric(values, table, grouping, deciding, design) for values in chosen]
+    unadjusted = [_compare_metric(values, table, grouping, deciding, design) for values in chosen_values]
     metrics = _adjust_p_values(unadjusted, terms)
-    members = [run for run, used in zip(table.runs, grouping.used, strict=True) if used]
+    members = [run for run, is_used in zip(table.runs, grouping.used, strict=True) if is_used]
     differences = tuple(chain.from_iterable(metric.differences or (_explain_missing(metric),) for metric in metrics))
     return fill_from_object(
         Comparison,
@@ -196,11 +196,11 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         compared=any(difference.known for difference in differences),
         recipes=tuple(sorted({run.recipe for run in members})),
         simulated=tuple(sorted({words for simulated in {run.simulated for run in members} for words in simulated})),
-        groups=tuple(groups_of(table.runs, grouping, every, terms)),
+        groups=tuple(groups_of(table.runs, grouping, all_values, terms)),
         metrics=differences,
         stations=tuple(chain.from_iterable(metric.stations for metric in metrics)),
         distributions=tuple(chain.from_iterable(metric.distributions for metric in metrics)),
-        warnings=(*referred, *cautions(members, grouping, design, terms, now)),
+        warnings=(*reference_notes, *cautions(members, grouping, design, terms, now)),
         terms=terms,
         of_metrics=tuple(metrics),
     )
@@ -211,10 +211,10 @@ def _explain_missing(metric: MetricComparison) -> Difference:
 
 
 def _choose_metrics(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
-    known = {values.key.name for values in every}
+    measured_names = {values.key.name for values in every}
     for name in (*terms.names, *terms.margins, *terms.detect):
-        if name not in known:
-            raise missing_metric_error(name, known)
+        if name not in measured_names:
+            raise missing_metric_error(name, measured_names)
     for option, asked in (("--margin", terms.margins), ("--detect", terms.detect)):
         for name in asked if terms.names else ():
             if name not in terms.names:
@@ -229,28 +229,28 @@ def _compare_metric(
     metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
 ) -> MetricComparison:
     """Compare groups and stations in one metric by the deciding runs; p values are not adjusted yet."""
-    what = metric.key.label
-    model = fit_model(design.crossing, metric.mean[design.rows], what, of_stations=design.of_stations)
-    of_stations = model
+    label = metric.key.label
+    model = fit_model(design.crossing, metric.mean[design.rows], label, of_stations=design.of_stations)
+    station_model = model
     if design.of_the_stations is not design.crossing and design.stations:
-        of_stations = fit_model(design.of_the_stations, metric.mean[design.rows], what, of_stations=True)
-    of_station = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
-    known = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
-    notes = _notes(model, metric, table, design, of_station=of_station)
-    pairs = [(name, grouping.reference) for name in grouping.names[1:] if not of_station]
+        station_model = fit_model(design.of_the_stations, metric.mean[design.rows], label, of_stations=True)
+    is_station_metric = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
+    indices_by_group = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
+    notes = _notes(model, metric, table, design, of_station=is_station_metric)
+    pairs = [(name, grouping.reference) for name in grouping.names[1:] if not is_station_metric]
     places = compare_places(metric, table, pairs, design)
-    differences = [difference(model, metric, known, pair, design) for pair in pairs]
+    differences = [difference(model, metric, indices_by_group, pair, design) for pair in pairs]
     return MetricComparison(
         values=metric,
         differences=tuple(
             replace(pair, places=places.get(str(pair.group), ()), warnings=(*pair.warnings, *notes))
             for pair in differences
         ),
-        stations=tuple(stations_above(of_stations, metric, design)),
+        stations=tuple(stations_above(station_model, metric, design)),
         distributions=tuple(
-            distribution(metric, table.runs, name, known[name], design.terms) for name in grouping.names
+            distribution(metric, table.runs, name, indices_by_group[name], design.terms) for name in grouping.names
         ),
-        samples=_samples(metric, table.runs, known),
+        samples=_samples(metric, table.runs, indices_by_group),
         notes=notes,
     )
 
@@ -260,10 +260,10 @@ def _samples(
 ) -> tuple[tuple[str, str, Array], ...]:
     samples = []
     for name, indices in known.items():
-        at: dict[str, list[int]] = {}
+        indices_by_station: dict[str, list[int]] = {}
         for index in indices.tolist():
-            at.setdefault(runs[index].station, []).append(index)
-        samples += [(name, station, metric.mean[members]) for station, members in sorted(at.items())]
+            indices_by_station.setdefault(runs[index].station, []).append(index)
+        samples += [(name, station, metric.mean[members]) for station, members in sorted(indices_by_station.items())]
     return tuple(samples)
 
 
@@ -276,39 +276,41 @@ def _notes(
         notes = [note.replace(_ELSEWHERE, "of other batches or stations") for note in notes if _APART not in note]
     if of_station:
         notes.append(_STATIONS_ALONE)
-    without = _SHARES_PLACES.get(metric.key.name)
-    if without is not None:
-        measured = any(kind.key.name == without for kind in table.kinds)
-        notes.append(_HOLDS_SHARED + (_IS_WITHOUT.format(other=without) if measured else ""))
+    other_metric = _SHARES_PLACES.get(metric.key.name)
+    if other_metric is not None:
+        is_measured = any(kind.key.name == other_metric for kind in table.kinds)
+        notes.append(_HOLDS_SHARED + (_IS_WITHOUT.format(other=other_metric) if is_measured else ""))
     return tuple(notes)
 
 
 def _adjust_p_values(metrics: Sequence[MetricComparison], terms: Terms) -> list[MetricComparison]:
     """Adjust p values: jointly for all groups, for all equivalence tests, and for all stations."""
-    every = [difference for metric in metrics for difference in metric.differences]
-    groups = iter(_adjust([test.p_unadjusted for test in every], terms.adjustment))
-    alike = iter(_adjust([test.equivalence_p_unadjusted for test in every], terms.adjustment))
-    stations = iter(
+    all_differences = [difference for metric in metrics for difference in metric.differences]
+    group_p_values = iter(_adjust([test.p_unadjusted for test in all_differences], terms.adjustment))
+    equivalence_p_values = iter(
+        _adjust([test.equivalence_p_unadjusted for test in all_differences], terms.adjustment)
+    )
+    station_p_values = iter(
         _adjust([station.p_unadjusted for metric in metrics for station in metric.stations], terms.adjustment)
     )
 
     def with_p(difference: Difference) -> Difference:
-        likeness = next(alike)
-        shown = None if likeness is None else likeness <= terms.level
-        return replace(difference, p=next(groups), equivalence_p=likeness, equivalent=shown)
+        equivalence_p = next(equivalence_p_values)
+        is_equivalent = None if equivalence_p is None else equivalence_p <= terms.level
+        return replace(difference, p=next(group_p_values), equivalence_p=equivalence_p, equivalent=is_equivalent)
 
     return [
         replace(
             metric,
             differences=tuple(map(with_p, metric.differences)),
-            stations=tuple(replace(test, p=next(stations)) for test in metric.stations),
+            stations=tuple(replace(test, p=next(station_p_values)) for test in metric.stations),
         )
         for metric in metrics
     ]
 
 
 def _adjust(p_values: Sequence[float | None], adjustment: Adjustment) -> list[float | None]:
-    made = [p for p in p_values if p is not None]
+    known_p_values = [p for p in p_values if p is not None]
     method = {Adjustment.HOLM: holm, Adjustment.BENJAMINI_HOCHBERG: benjamini_hochberg}.get(adjustment)
-    adjusted = iter(made if method is None else method(made).tolist())
+    adjusted = iter(known_p_values if method is None else method(known_p_values).tolist())
     return [None if p is None else float(next(adjusted)) for p in p_values]

@@ -92,24 +92,26 @@ def _group(
 ) -> Group:
     tests = grouping.tests[name]
     members = [index for indices in tests.values() for index in indices]
-    last = [decides(runs, indices, terms.policy) for indices in tests.values()]
-    outcomes = [runs[index].verdict for index in last]
-    bad = np.array([index for index in last if runs[index].verdict not in PASSED], dtype=np.intp)
-    failures = Counter({label: int(failed[bad].sum()) for label, failed in failing if failed[bad].any()})
-    if decided := sum(
-        runs[index].verdict is Outcome.FAIL and runs[index].outcome is not Outcome.FAIL for index in bad
+    deciding_runs = [decides(runs, indices, terms.policy) for indices in tests.values()]
+    outcomes = [runs[index].verdict for index in deciding_runs]
+    failed_runs = np.array([index for index in deciding_runs if runs[index].verdict not in PASSED], dtype=np.intp)
+    failures = Counter(
+        {label: int(failed[failed_runs].sum()) for label, failed in failing if failed[failed_runs].any()}
+    )
+    if operator_failures := sum(
+        runs[index].verdict is Outcome.FAIL and runs[index].outcome is not Outcome.FAIL for index in failed_runs
     ):
-        failures[BY_OPERATOR] = decided
+        failures[BY_OPERATOR] = operator_failures
     passed = _yield(outcomes, terms)
-    first = _yield([runs[decides(runs, indices, Policy.FIRST)].verdict for indices in tests.values()], terms)
+    first_pass = _yield([runs[decides(runs, indices, Policy.FIRST)].verdict for indices in tests.values()], terms)
     return Group(
         name=name,
         n=len(tests),
         runs=len(members),
         passed=passed[0],
         yield_interval=passed[1],
-        first_pass_yield=first[0],
-        first_pass_yield_interval=first[1],
+        first_pass_yield=first_pass[0],
+        first_pass_yield_interval=first_pass[1],
         not_measured=outcomes.count(Outcome.NOT_MEASURED),
         not_judged=outcomes.count(Outcome.NOT_JUDGED),
         stations=tuple(sorted({runs[index].station for index in members})),
@@ -137,7 +139,7 @@ def distribution(
     if not len(values):
         return Distribution(*metric.identity, name, 0, no_capability="nothing was measured")
     moments = summary(values, metric.key.label)
-    quantiles = {share: quantile(values, share, confidence=terms.confidence) for share in QUANTILES}
+    quantiles = {probability: quantile(values, probability, confidence=terms.confidence) for probability in QUANTILES}
     index, why = _capability(metric, runs, indices, terms)
     return Distribution(
         *metric.identity,
@@ -147,7 +149,7 @@ def distribution(
         deviation=moments.deviation,
         median=quantiles[0.5].value,
         median_interval=quantiles[0.5].interval,
-        quantiles={f"{share:g}": estimate.value for share, estimate in quantiles.items()},
+        quantiles={f"{probability:g}": estimate.value for probability, estimate in quantiles.items()},
         capability=index,
         no_capability=why,
     )

@@ -22,7 +22,7 @@ from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
 #: Model name of groups that cannot be separated.
 REFUSED: Final = "refused"
-#: Above this number of locations a phase has random loads rather than a grid.
+#: Largest number of locations of a grid; a phase with more has random loads.
 _MOST_PLACES: Final = 25
 _WITH_BATCH: Final = "group and each station's batches"
 
@@ -105,9 +105,9 @@ class Difference(Estimated):
     deviation : √(sensor² + run²) of the model, in the metric's unit; unit of the effect size, taken as known.
     equivalent : whether two one-sided tests show the difference to be within ``margin``, by ``equivalence_p``, which
         is adjusted for all such tests of the comparison.
-    sensors_to_show_alike : of each of two groups on one station, to show equivalence within the margin with 80 %
-        power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
-    sensors_needed : of each group to detect the difference ``detect``, likewise.
+    sensors_to_show_alike : sensors of each of two groups on one station, to show equivalence within the margin with
+        80 % power if they do not differ, by one test at the comparison's level; None if 10⁹ do not suffice.
+    sensors_needed : number of sensors of each group to detect the difference ``detect``, likewise.
     """
 
     group: str | None = None
@@ -140,8 +140,8 @@ class Fitted:
         """Return group − reference; NumericsError if the design cannot estimate it."""
         if self.fit is None:
             raise NumericsError(self.why)
-        of = self.fit.station_difference if self.of_stations else self.fit.group_difference
-        return of(group, reference)
+        estimate = self.fit.station_difference if self.of_stations else self.fit.group_difference
+        return estimate(group, reference)
 
     def station_effect(self, station: str) -> float:
         """Return the difference of a station from the first of its connected part."""
@@ -154,11 +154,15 @@ class Fitted:
 
 def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
     """Fit the model to the runs (N,) that have a value; NaN where missing."""
-    known = ~np.isnan(values)
-    if not known.any():
+    has_value = ~np.isnan(values)
+    if not has_value.any():
         return Fitted(None, "nothing was measured", of_stations)
     try:
-        return Fitted(fit(design if known.all() else design.select_runs(known), values[known], what), "", of_stations)
+        return Fitted(
+            fit(design if has_value.all() else design.select_runs(has_value), values[has_value], what),
+            "",
+            of_stations,
+        )
     except NumericsError as error:
         return Fitted(None, _one_line(error), of_stations)
 
@@ -168,9 +172,9 @@ _Estimate = TypeVar("_Estimate", Difference, StationDifference)
 
 def _fill_contrast(estimated: _Estimate, contrast: Contrast, terms: Terms) -> _Estimate:
     """Fill in an estimate's fields before adjustment."""
-    inside = contrast.interval(terms.confidence)
+    interval = contrast.interval(terms.confidence)
     return replace(
-        estimated, difference=contrast.value, low=inside.low, high=inside.high, p_unadjusted=contrast.p_value()
+        estimated, difference=contrast.value, low=interval.low, high=interval.high, p_unadjusted=contrast.p_value()
     )
 
 
@@ -181,18 +185,18 @@ def difference(
     terms = design.terms
     values = metric.mean[known[names[0]]], metric.mean[known[names[1]]]
     naive = _naive(values, names, terms)
-    bare = Difference(*metric.identity, names[1], group=names[0], model=REFUSED, naive=naive)
+    refused = Difference(*metric.identity, names[1], group=names[0], model=REFUSED, naive=naive)
     try:
         contrast = model.difference(*names)
     except NumericsError as error:
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
-        return replace(bare, warnings=(why or _one_line(error),))
+        return replace(refused, warnings=(why or _one_line(error),))
     assert model.fit is not None
-    estimated = _fill_contrast(bare, contrast, terms)
+    estimated = _fill_contrast(refused, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
     stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
     detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
-    likeness = None if margin is None else contrast.equivalence(margin, level=terms.level)
+    equivalence_test = None if margin is None else contrast.equivalence(margin, level=terms.level)
     kind = str(model.fit.model)
     return replace(
         estimated,
@@ -201,8 +205,8 @@ def difference(
         effect_size=contrast.value / deviation,
         effect_size_interval=contrast.interval(terms.confidence).scale(1 / deviation),
         margin=margin,
-        equivalence_interval=None if likeness is None else likeness.interval,
-        equivalence_p_unadjusted=None if likeness is None else likeness.p_value,
+        equivalence_interval=None if equivalence_test is None else equivalence_test.interval,
+        equivalence_p_unadjusted=None if equivalence_test is None else equivalence_test.p_value,
         sensors_to_show_alike=_count_sensors(sensors_to_show_alike, margin, deviation, terms),
         detect=detect,
         sensors_needed=_count_sensors(sensors_needed, detect, deviation, terms),
@@ -229,8 +233,8 @@ def _naive(values: tuple[Array, Array], names: tuple[str, str], terms: Terms) ->
         size = hedges(*values, confidence=terms.confidence, names=names).value
     except NumericsError:
         return None
-    inside = contrast.interval(terms.confidence)
-    return Naive(contrast.value, inside.low, inside.high, contrast.p_value(), size)
+    interval = contrast.interval(terms.confidence)
+    return Naive(contrast.value, interval.low, interval.high, contrast.p_value(), size)
 
 
 def _robust(
@@ -248,13 +252,18 @@ def _robust(
             _subtract_stations(values[1], stations[1], effects),
         )
     try:
-        moved = shift(*level, confidence=terms.confidence, names=names)
+        shift_estimate = shift(*level, confidence=terms.confidence, names=names)
     except NumericsError:
         return None
     try:
-        return Robust(moved.value, moved.interval, brunner_munzel(*level, names=names).p_value, "Brunner–Munzel")
+        return Robust(
+            shift_estimate.value,
+            shift_estimate.interval,
+            brunner_munzel(*level, names=names).p_value,
+            "Brunner–Munzel",
+        )
     except NumericsError:  # groups that do not overlap, or of a single sensor
-        return Robust(moved.value, moved.interval, moved.p_value, "Mann–Whitney")
+        return Robust(shift_estimate.value, shift_estimate.interval, shift_estimate.p_value, "Mann–Whitney")
 
 
 def _subtract_stations(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:
@@ -266,8 +275,8 @@ def compare_places(
     metric: MetricValues, table: FleetTable, pairs: Sequence[tuple[str, str]], design: Design
 ) -> dict[str, tuple[PlaceDifference, ...]]:
     """Differences of groups by place, if the places form a grid and the metric matters."""
-    wanted = metric.limited or metric.key.name in design.terms.names
-    if not pairs or not wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
+    is_wanted = metric.limited or metric.key.name in design.terms.names
+    if not pairs or not is_wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
         return {}
     models = {
         location: fit_model(
@@ -287,10 +296,10 @@ def _places_of(
             contrast = model.difference(*pair)
         except NumericsError:
             continue
-        inside = contrast.interval(terms.confidence)
+        interval = contrast.interval(terms.confidence)
         x_mm, y_mm = table.places_mm.get(location, (None, None))
         places.append(
-            PlaceDifference(location, x_mm, y_mm, contrast.value, inside.low, inside.high, contrast.p_value())
+            PlaceDifference(location, x_mm, y_mm, contrast.value, interval.low, interval.high, contrast.p_value())
         )
     adjusted = holm([place.p for place in places]).tolist()
     return tuple(replace(place, p=p) for place, p in zip(places, adjusted, strict=True))
@@ -299,10 +308,10 @@ def _places_of(
 def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Iterator[StationDifference]:
     """Compare stations with the one with most runs, adjusted for differences of groups."""
     for name in design.stations[1:]:
-        bare = StationDifference(*metric.identity, design.stations[0], station=name)
+        unestimated = StationDifference(*metric.identity, design.stations[0], station=name)
         try:
             if model.fit is None:
                 raise NumericsError(model.why)
-            yield _fill_contrast(bare, model.fit.station_difference(name, design.stations[0]), design.terms)
+            yield _fill_contrast(unestimated, model.fit.station_difference(name, design.stations[0]), design.terms)
         except NumericsError as error:
-            yield replace(bare, warnings=(_one_line(error),))
+            yield replace(unestimated, warnings=(_one_line(error),))

@@ -43,7 +43,7 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
     Parameters
     ----------
     samples : group, station, and one value per sensor.
-    groups : in order; the order determines the colours.
+    groups : names of the groups; their order determines the colours.
     """
     height = 0.55 + _MARK_IN * len(samples)
     figure = canvas(height)
@@ -88,16 +88,21 @@ def _short(name: str) -> str:
     """Shorten a long name in the middle to fit beside a row."""
     if len(name) <= _MOST_LETTERS:
         return name
-    kept = _MOST_LETTERS - 1
-    return f"{name[: kept - kept // 3].rstrip()}…{name[len(name) - kept // 3 :].lstrip()}"
+    letters = _MOST_LETTERS - 1
+    return f"{name[: letters - letters // 3].rstrip()}…{name[len(name) - letters // 3 :].lstrip()}"
 
 
 def _row(axes: Axes, row: int, values: Array, colour: str) -> None:
     if len(values) > _MOST_POINTS:
         counts, edges = np.histogram(values, _BINS)
-        half = 0.38 * counts / counts.max()
+        half_heights = 0.38 * counts / counts.max()
         axes.fill_between(
-            0.5 * (edges[1:] + edges[:-1]), row - half, row + half, color=colour, alpha=0.35, linewidth=0
+            0.5 * (edges[1:] + edges[:-1]),
+            row - half_heights,
+            row + half_heights,
+            color=colour,
+            alpha=0.35,
+            linewidth=0,
         )
     else:
         # Spread evenly over the row in order of the values, so that equal data give equal pictures.

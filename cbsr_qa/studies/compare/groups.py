@@ -32,7 +32,7 @@ class Grouping:
 
     Parameters
     ----------
-    names : of the groups, the reference first.
+    names : names of the groups, the reference first.
     labels, used : (R,) group of each run (empty if left out), and whether it counts.
     tests : group → sensor → indices of its runs that count, in order of time.
     left_out : reason → number of runs that do not count.
@@ -63,25 +63,25 @@ def group_runs(runs: Sequence[RunLine], terms: Terms) -> Grouping:
     RefusedError if no run was finished and analysed, or a named group has no runs (with the nearest name).
     """
     labels = _labels(runs, terms.by, terms.period)
-    whys = [_why_excluded(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]
-    left_out = Counter(why for why in whys if why)
-    kept = ["" if why else label for why, label in zip(whys, labels, strict=True)]
-    if not any(kept):
+    reasons = [_why_excluded(run, label, terms.by) for run, label in zip(runs, labels, strict=True)]
+    left_out = Counter(why for why in reasons if why)
+    group_labels = ["" if why else label for why, label in zip(reasons, labels, strict=True)]
+    if not any(group_labels):
         raise RefusedError(
             f"of {len(runs)} stored runs none was finished and analysed, with its {terms.by} stated"
             if runs
             else "no stored run fits",
             remedy="test sensors first, or choose other runs; cbsr-qa db status shows which database is used",
         )
-    names = _names(runs, kept, terms)
-    kept = [label if label in names else "" for label in kept]
-    found: dict[str, dict[str, list[int]]] = {name: {} for name in names}
-    for index, (run, label) in enumerate(zip(runs, kept, strict=True)):
+    names = _names(runs, group_labels, terms)
+    group_labels = [label if label in names else "" for label in group_labels]
+    indices_by_test: dict[str, dict[str, list[int]]] = {name: {} for name in names}
+    for index, (run, label) in enumerate(zip(runs, group_labels, strict=True)):
         if label:
-            found[label].setdefault(run.serial, []).append(index)
-    tests = {name: {serial: tuple(indices) for serial, indices in found[name].items()} for name in names}
-    used = np.array([bool(label) for label in kept], dtype=bool)
-    return Grouping(names, tuple(kept), used, tests, left_out)
+            indices_by_test[label].setdefault(run.serial, []).append(index)
+    tests = {name: {serial: tuple(indices) for serial, indices in indices_by_test[name].items()} for name in names}
+    is_used = np.array([bool(label) for label in group_labels], dtype=bool)
+    return Grouping(names, tuple(group_labels), is_used, tests, left_out)
 
 
 def decides(runs: Sequence[RunLine], tests: Sequence[int], policy: Policy) -> int:
@@ -157,12 +157,12 @@ class Design:
 
     Parameters
     ----------
-    crossing : of groups and stations; of batches and stations where stations are compared; of groups and *levels* if
-        periods or software versions are compared: every batch at every station is a level, so that batches are not
-        mistaken for periods.
+    crossing : crossing of groups and stations; of batches and stations where stations are compared; of groups and
+        *levels* if periods or software versions are compared: every batch at every station is a level, so that
+        batches are not mistaken for periods.
     rows : (N,) indices of the runs.
-    stations : to compare besides the groups, the one with most runs (in the part with most stations) first; empty for
-        a single station, or if stations are the groups.
+    stations : stations to compare besides the groups, the one with most runs (in the part with most stations) first;
+        empty for a single station, or if stations are the groups.
     levels : level → its station and batch; empty if the crossing's levels are stations.
     of_the_stations : crossing for the comparison of stations: of batches and stations if there are levels, or
         materials of several batches are compared; else the crossing itself.
@@ -187,8 +187,8 @@ class Design:
 
     def common_batches(self, first: str, second: str) -> tuple[str, ...]:
         """Return the batches that ran at one station in both groups, the main basis of their difference."""
-        one, two = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
-        return tuple(sorted({self.levels[level][1] for level in one & two}))
+        first_levels, second_levels = (_levels_of(self.crossing).get(name, frozenset()) for name in (first, second))
+        return tuple(sorted({self.levels[level][1] for level in first_levels & second_levels}))
 
     def untold(self, crossing: Crossing, first: str, second: str) -> str:
         """Explain why two groups cannot be separated; empty if the crossing's own message suffices.
@@ -197,29 +197,38 @@ class Design:
         ----------
         found : the crossing of the runs with a value.
         """
-        known = crossing.stations if self.of_stations else crossing.groups
-        absent = [name for name in (first, second) if name not in known]
+        level_names = crossing.stations if self.of_stations else crossing.groups
+        absent = [name for name in (first, second) if name not in level_names]
         if absent:
             return f"no run of {' and of '.join(absent)} that counts has a value of it"
-        if not self.levels or crossing.group_parts[known.index(first)] == crossing.group_parts[known.index(second)]:
+        if (
+            not self.levels
+            or crossing.group_parts[level_names.index(first)] == crossing.group_parts[level_names.index(second)]
+        ):
             return ""
         batches, stations = (self._apart(crossing, (first, second), side) for side in (1, 0))
-        other = "batches" if batches and not stations else "stations" if stations and not batches else ""
-        cannot = f"and {other} cannot be told apart" if other else "cannot be separated from batches and stations"
-        where = "; ".join(f"{name} is {self._words(crossing, name, other)}" for name in (first, second))
-        return f"{self.noun}s {cannot}: {where}; run some sensors of one batch at one station in both"
+        inseparable = "batches" if batches and not stations else "stations" if stations and not batches else ""
+        problem = (
+            f"and {inseparable} cannot be told apart"
+            if inseparable
+            else "cannot be separated from batches and stations"
+        )
+        levels_of_groups = "; ".join(
+            f"{name} is {self._words(crossing, name, inseparable)}" for name in (first, second)
+        )
+        return f"{self.noun}s {problem}: {levels_of_groups}; run some sensors of one batch at one station in both"
 
     def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
         """Whether batches (side 1) or stations (side 0) alone leave two groups unconnected."""
         joined = _cross_levels(self, crossing, side)
-        one, two = (int(joined.group_parts[joined.index("group", name)]) for name in names)
-        return one != two
+        first_part, second_part = (int(joined.group_parts[joined.index("group", name)]) for name in names)
+        return first_part != second_part
 
     def _words(self, crossing: Crossing, name: str, other: str) -> str:
         pairs = sorted(self.levels[level] for level in _levels_of(crossing)[name])
         if other:
-            seen = {_batch(batch) if other == "batches" else station for station, batch in pairs}
-            return f"{list_names(sorted(seen))} only"
+            names = {_batch(batch) if other == "batches" else station for station, batch in pairs}
+            return f"{list_names(sorted(names))} only"
         return list_names([f"{_batch(batch)} at {station}" for station, batch in pairs], 3)
 
 
@@ -230,21 +239,31 @@ def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Desi
     labels = [grouping.labels[row] for row in rows.tolist()]
     stations, serials = [run.station for run in members], [run.serial for run in members]
     batches = [run.batch or NO_BATCH for run in members]
-    at = tuple(run.station for run in runs)
+    station_of_run = tuple(run.station for run in runs)
     if terms.by is By.STATION:  # batches must not be mistaken for stations
-        made = crossing(batches, stations, serials)
-        return Design(terms, made, rows, (), {}, made, at)
+        group_crossing = crossing(batches, stations, serials)
+        return Design(terms, group_crossing, rows, (), {}, group_crossing, station_of_run)
     if terms.by in _GROUPS and len(set(batches)) > 1:
         levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
-        made = crossing(labels, [_level(run) for run in members], serials)
-        beside = crossing(batches, stations, serials)  # as for stations as groups, so that both agree
+        group_crossing = crossing(labels, [_level(run) for run in members], serials)
+        station_crossing = crossing(batches, stations, serials)  # as for stations as groups, so that both agree
         return Design(
-            terms, made, rows, _comparable_stations(beside), levels, beside, tuple(_level(run) for run in runs)
+            terms,
+            group_crossing,
+            rows,
+            _comparable_stations(station_crossing),
+            levels,
+            station_crossing,
+            tuple(_level(run) for run in runs),
         )
-    made = crossing(labels, stations, serials)
+    group_crossing = crossing(labels, stations, serials)
     # Batches of a material differ, and stations have different ones.
-    beside = crossing(batches, stations, serials) if terms.by is By.MATERIAL and len(set(batches)) > 1 else made
-    return Design(terms, made, rows, _comparable_stations(beside), {}, beside, at)
+    station_crossing = (
+        crossing(batches, stations, serials) if terms.by is By.MATERIAL and len(set(batches)) > 1 else group_crossing
+    )
+    return Design(
+        terms, group_crossing, rows, _comparable_stations(station_crossing), {}, station_crossing, station_of_run
+    )
 
 
 def _comparable_stations(made: Crossing) -> tuple[str, ...]:
@@ -271,10 +290,10 @@ def _batch(name: str) -> str:
 def _levels_of(crossing: Crossing) -> Mapping[str, frozenset[str]]:
     """Group → levels of its runs; cached, as it is needed for every pair of groups in a metric."""
     pairs = np.unique(crossing.group * len(crossing.stations) + crossing.station)
-    seen: dict[str, set[str]] = {}
+    levels_by_group: dict[str, set[str]] = {}
     for group, level in zip(*divmod(pairs, len(crossing.stations)), strict=True):
-        seen.setdefault(crossing.groups[group], set()).add(crossing.stations[level])
-    return {name: frozenset(levels) for name, levels in seen.items()}
+        levels_by_group.setdefault(crossing.groups[group], set()).add(crossing.stations[level])
+    return {name: frozenset(levels) for name, levels in levels_by_group.items()}
 
 
 @lru_cache(maxsize=4)
@@ -298,30 +317,34 @@ def choose_reference(
     """
     part_of = _parts(grouping, design, measured)
     sizes = Counter(part_of.values())
-    first = grouping.reference
+    usual = grouping.reference
     best = min(
         grouping.names,
         key=lambda name: (-sizes[part_of[name]], *reference_rank(name, len(grouping.tests[name]), terms.by)),
     )
-    if sizes[part_of[best]] < 2 or sizes[part_of[best]] <= sizes[part_of[first]]:
+    if sizes[part_of[best]] < 2 or sizes[part_of[best]] <= sizes[part_of[usual]]:
         return grouping, []
     members = [name for name in grouping.names if part_of[name] == part_of[best]]
     if terms.groups:
-        if sizes[part_of[first]] > 1:
+        if sizes[part_of[usual]] > 1:
             return grouping, []
-        words = f"Nothing can be compared with {first}; {list_names(members)} can among themselves"
-        return grouping, [f"{words}: --groups {','.join(members)}"]
-    usual = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
-    words = f"The reference is {best}: {first} {usual}, and cannot be compared with {list_names(members)}"
-    return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [words]
+        note = f"Nothing can be compared with {usual}; {list_names(members)} can among themselves"
+        return grouping, [f"{note}: --groups {','.join(members)}"]
+    reason = "is the earliest" if terms.by is By.PERIOD else "has most sensors"
+    note = f"The reference is {best}: {usual} {reason}, and cannot be compared with {list_names(members)}"
+    return replace(grouping, names=(best, *(name for name in sorted(grouping.names) if name != best))), [note]
 
 
 def _parts(grouping: Grouping, design: Design, measured: BoolArray) -> dict[str, int]:
     """Group → its connected part; a group without a value is a separate part."""
-    alone = {name: -1 - place for place, name in enumerate(grouping.names)}
-    known = measured[design.rows]
-    if not known.any():
-        return alone
-    made = design.crossing.select_runs(known)
-    names, parts = (made.stations, made.station_parts) if design.of_stations else (made.groups, made.group_parts)
-    return alone | dict(zip(names, parts.tolist(), strict=True))
+    isolated_parts = {name: -1 - place for place, name in enumerate(grouping.names)}
+    has_value = measured[design.rows]
+    if not has_value.any():
+        return isolated_parts
+    measured_crossing = design.crossing.select_runs(has_value)
+    names, parts = (
+        (measured_crossing.stations, measured_crossing.station_parts)
+        if design.of_stations
+        else (measured_crossing.groups, measured_crossing.group_parts)
+    )
+    return isolated_parts | dict(zip(names, parts.tolist(), strict=True))

@@ -77,8 +77,8 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
         ),
     )
     banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
-    subject, every = f"by {comparison.by}", (*warnings, *comparison.warnings)
-    page = Page("Comparison", subject, banner, identity, comparison.simulated, every, advice)
+    subject, all_warnings = f"by {comparison.by}", (*warnings, *comparison.warnings)
+    page = Page("Comparison", subject, banner, identity, comparison.simulated, all_warnings, advice)
     laid_out = [*sections(worded), *([_notes_section(notes)] if notes else [])]
     return CommandOutcome(worded, page, tuple(laid_out), 0 if comparison.compared else _NOTHING)
 
@@ -90,50 +90,60 @@ def _notes_section(notes: Sequence[str]) -> Section:
 
 def _headline(comparison: Comparison) -> str:
     """Answer in one line: the largest differences, a deviating station, and groups without a shown difference."""
-    everyone = [group.name for group in comparison.groups]
+    group_names = [group.name for group in comparison.groups]
     if not comparison.compared:
-        return _NO_COMPARISON.format(groups=_join_groups(everyone))
-    differ = sorted(
+        return _NO_COMPARISON.format(groups=_join_groups(group_names))
+    significant_pairs = sorted(
         ((metric, difference) for metric, difference in comparison.pairs if comparison.significant(difference)),
         key=lambda pair: -abs(pair[1].effect_size or 0.0),
     )
-    shown: list[tuple[MetricComparison, Estimated, str]] = [
+    readings: list[tuple[MetricComparison, Estimated, str]] = [
         (metric, difference, _who(str(difference.group), comparison))
-        for metric, difference in differ[:_MOST_IN_HEADLINE]
+        for metric, difference in significant_pairs[:_MOST_IN_HEADLINE]
     ]
-    titles = {metric.values.title for metric, *_ in shown}
-    drifted = sorted(
-        ((m, station) for m in comparison.of_metrics for station in m.stations if comparison.significant(station)),
+    titles = {metric.values.title for metric, *_ in readings}
+    deviating_stations = sorted(
+        (
+            (station_metric, station)
+            for station_metric in comparison.of_metrics
+            for station in station_metric.stations
+            if comparison.significant(station)
+        ),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
-    shown += [(metric, difference, prefix_kind("station", difference.station)) for metric, difference in drifted[:1]]
+    readings += [
+        (metric, difference, prefix_kind("station", difference.station))
+        for metric, difference in deviating_stations[:1]
+    ]
     clauses = [
-        *_readings(shown, comparison),
-        *_say_alike({one.group for _, one in differ}, comparison),
+        *_readings(readings, comparison),
+        *_say_alike({difference_found.group for _, difference_found in significant_pairs}, comparison),
         *_say_missing(comparison),
     ]
-    more = len(differ) + len(drifted) - len(shown)
-    text = "; ".join([*clauses, *([_MORE.format(count=plural(more, "more difference"))] if more else [])])
-    return text if text.startswith(tuple(everyone)) else capital(text)
+    unlisted_count = len(significant_pairs) + len(deviating_stations) - len(readings)
+    text = "; ".join(
+        [*clauses, *([_MORE.format(count=plural(unlisted_count, "more difference"))] if unlisted_count else [])]
+    )
+    return text if text.startswith(tuple(group_names)) else capital(text)
 
 
 def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:
     """State differences from the reference; the metric is named when it changes."""
-    before = ""
-    for metric, difference, who in shown:
+    previous_title = ""
+    for metric, difference, group_words in shown:
         size, low, high = (difference.difference or 0.0, difference.low or 0.0, difference.high or 0.0)
         if size < 0:
             size, low, high = -size, -high, -low
         yield _READS.format(
-            who=who,
+            who=group_words,
             size=amount(size, metric.values.unit, 2),
             low=number(low, 2),
             high=number(high, 2),
             side=comparison.side(metric, difference),
             reference=difference.reference,
-            metric="" if metric.values.title == before else f" in {metric.values.title}",
+            metric="" if metric.values.title == previous_title else f" in {metric.values.title}",
         )
-        before = metric.values.title
+        previous_title = metric.values.title
 
 
 def _say_alike(differ: Collection[str | None], comparison: Comparison) -> Iterator[str]:
@@ -158,8 +168,8 @@ def _say_missing(comparison: Comparison) -> Iterator[str]:
     never = [name for name in names if name not in _comparable_groups(comparison)]
     if never:
         yield _NEVER.format(groups=_join_groups(never))
-    some = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
-    for count, members in groupby(some, key=lambda name: counts[name]):
+    partly_compared = sorted((name for name in names if name not in never), key=lambda name: -counts[name])
+    for count, members in groupby(partly_compared, key=lambda name: counts[name]):
         metrics_text = plural(len(metrics), "metric")
         yield _IN_SOME.format(groups=_join_groups(list(members)), count=count, metrics=metrics_text)
 
@@ -215,8 +225,8 @@ def _group_by_text(
     for text, metric in pairs:
         metrics.setdefault(text, {})[metric.values.title] = None
     for text, titles in metrics.items():
-        of = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else list_names(list(titles), 3)
-        yield template.format(metrics=capital(of), text=text)
+        metric_names = "all metrics" if len(titles) == len(comparison.of_metrics) > 1 else list_names(list(titles), 3)
+        yield template.format(metrics=capital(metric_names), text=text)
 
 
 def _rules(comparison: Comparison) -> Iterator[str]:
@@ -235,8 +245,12 @@ def _rules(comparison: Comparison) -> Iterator[str]:
 
 def _comparable_groups(comparison: Comparison) -> list[str]:
     """Return the reference and the groups compared with it in any metric, in order."""
-    known = {metric.group for metric in comparison.metrics if metric.difference is not None}
-    return [group.name for group in comparison.groups if group.name in known or group.name == comparison.reference]
+    compared_groups = {metric.group for metric in comparison.metrics if metric.difference is not None}
+    return [
+        group.name
+        for group in comparison.groups
+        if group.name in compared_groups or group.name == comparison.reference
+    ]
 
 
 def _idle(metric: MetricComparison) -> bool:
@@ -246,20 +260,29 @@ def _idle(metric: MetricComparison) -> bool:
 
 def _constant(metric: MetricComparison) -> list[str]:
     """Return the reading of each group if sensors of a group do not differ but groups do; else nothing."""
-    of_group: dict[str, list[Array]] = {}
+    samples_by_group: dict[str, list[Array]] = {}
     for name, _, values in metric.samples:
-        of_group.setdefault(name, []).append(values)
-    read = {
-        name: float(np.mean(np.concatenate(values))) for name, values in of_group.items() if sum(map(len, values))
+        samples_by_group.setdefault(name, []).append(values)
+    reading_by_group = {
+        name: float(np.mean(np.concatenate(values)))
+        for name, values in samples_by_group.items()
+        if sum(map(len, values))
     }
-    scatter = any(sum(map(len, of_group[name])) < 2 or not _same(of_group[name]) for name in read)
-    if all(difference.known for difference in metric.differences) or _idle(metric) or scatter or len(read) < 2:
+    scatter = any(
+        sum(map(len, samples_by_group[name])) < 2 or not _same(samples_by_group[name]) for name in reading_by_group
+    )
+    if (
+        all(difference.known for difference in metric.differences)
+        or _idle(metric)
+        or scatter
+        or len(reading_by_group) < 2
+    ):
         return []
     for digits in range(3, _MOST_DIGITS + 1):  # digits that separate them
-        written = {name: amount(value, metric.values.unit, digits) for name, value in read.items()}
-        if len(set(written.values())) == len(set(read.values())):
+        text_by_group = {name: amount(value, metric.values.unit, digits) for name, value in reading_by_group.items()}
+        if len(set(text_by_group.values())) == len(set(reading_by_group.values())):
             break
-    return [f"{name} {text}" for name, text in written.items()]
+    return [f"{name} {text}" for name, text in text_by_group.items()]
 
 
 def _same(samples: Sequence[Array]) -> bool:

@@ -45,47 +45,59 @@ _BY_PLACE: Final = "{metric}: {pair} by place; p adjusted for the places."
 
 def sections(comparison: Comparison) -> Iterator[Section]:
     """Lay out tables first, then the parts that only the page has."""
-    drawn = _select_for_figure(comparison)
-    distributions: list[Block] = [_strips(metric, comparison) for metric in drawn]
-    if drawn and len(drawn) < len(comparison.of_metrics):
-        more = plural(len(comparison.of_metrics) - len(drawn), "metric")
-        distributions.append(Paragraph(f"{more} more in the tables only.", "note"))
+    drawn_metrics = _select_for_figure(comparison)
+    distributions: list[Block] = [_strips(metric, comparison) for metric in drawn_metrics]
+    if drawn_metrics and len(drawn_metrics) < len(comparison.of_metrics):
+        more_words = plural(len(comparison.of_metrics) - len(drawn_metrics), "metric")
+        distributions.append(Paragraph(f"{more_words} more in the tables only.", "note"))
     for title, blocks, page_only in (
         ("Differences", _difference_tables(comparison), False),
         ("Stations", _stations_table(comparison), False),
         ("Groups", _group_tables(comparison), False),
         ("Distributions", distributions, True),
-        ("Where on the sheet", (block for metric in drawn for block in _maps(metric, comparison)), True),
+        ("Where on the sheet", (block for metric in drawn_metrics for block in _maps(metric, comparison)), True),
         ("Values of each group", (*_values_table(comparison), *_capability_table(comparison)), True),
         ("Rules", map(Paragraph, comparison.rules), True),
     ):
-        laid_out = tuple(blocks)
-        if laid_out:
-            yield Section(title, laid_out, page_only)
+        section_blocks = tuple(blocks)
+        if section_blocks:
+            yield Section(title, section_blocks, page_only)
 
 
 def _difference_tables(comparison: Comparison) -> Iterator[Table]:
-    terms, inside = comparison.terms, f"{100 * comparison.confidence:g} % interval"
-    columns = ("metric", "difference", inside, "p", "effect size", "result")
-    decides, power = 100 - 200 * terms.level, f"{100 * terms.power:g} %"
-    of_likeness = ("metric", "margin", "difference", f"{decides:g} % interval", "p", "alike", f"sensors for {power}")
+    terms, interval_column = comparison.terms, f"{100 * comparison.confidence:g} % interval"
+    columns = ("metric", "difference", interval_column, "p", "effect size", "result")
+    decision_percent, power = 100 - 200 * terms.level, f"{100 * terms.power:g} %"
+    likeness_columns = (
+        "metric",
+        "margin",
+        "difference",
+        f"{decision_percent:g} % interval",
+        "p",
+        "alike",
+        f"sensors for {power}",
+    )
     for group in comparison.groups[1:]:
         pairs = [(metric, difference) for metric, difference in comparison.pairs if difference.group == group.name]
-        words = {
+        caption_words = {
             "pair": f"{group.name} − {comparison.reference}",
             "others": comparison.others,
             "taken_out": _describe_adjustment(comparison),
         }
-        models = ", ".join(dict.fromkeys(one.model.partition(":")[0] for _, one in pairs))
+        models = ", ".join(
+            dict.fromkeys(difference_of_pair.model.partition(":")[0] for _, difference_of_pair in pairs)
+        )
         rows = [_difference_row(*row, comparison) for row in pairs]
-        yield from _table(_DIFFERENCES.format(**words, models=models), columns, rows, range(1, 5))
+        yield from _table(_DIFFERENCES.format(**caption_words, models=models), columns, rows, range(1, 5))
         rows = [
             _likeness_row(metric, group.name, comparison) for metric in _select_metrics(comparison, terms.margins)
         ]
-        yield from _table(_ALIKE.format(**words, decides=decides), of_likeness, rows, (1, 2, 3, 4, 6))
+        yield from _table(
+            _ALIKE.format(**caption_words, decides=decision_percent), likeness_columns, rows, (1, 2, 3, 4, 6)
+        )
         rows = [row for pair in pairs for row in _other_rows(*pair)]
-        columns_of_others = ("metric", "method", "difference", inside, "p")
-        yield from _table(_OTHER.format(**words), columns_of_others, rows, (2, 3, 4), folded=True)
+        other_columns = ("metric", "method", "difference", interval_column, "p")
+        yield from _table(_OTHER.format(**caption_words), other_columns, rows, (2, 3, 4), folded=True)
     if len(comparison.groups) > 1:
         rows = [
             _sensors_row(metric, terms.detect[metric.values.key.name])
@@ -101,18 +113,18 @@ def _difference_row(metric: MetricComparison, difference: Difference, comparison
 
 def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) -> tuple[str, ...]:
     margin = comparison.terms.margins[metric.values.key.name]
-    stated = _label(metric), f"± {number(margin)}"
+    first_cells = _label(metric), f"± {number(margin)}"
     pair = next((difference for difference in metric.differences if difference.group == group), None)
     if pair is None or pair.difference is None:
-        return *stated, _NONE, _NONE, _NONE, "not tested", _NONE
-    hopeless = abs(pair.difference) >= margin
+        return *first_cells, _NONE, _NONE, _NONE, "not tested", _NONE
+    is_hopeless = abs(pair.difference) >= margin
     return (
-        *stated,
+        *first_cells,
         number(pair.difference),
         _ends(pair.equivalence_interval),
         _p(pair.equivalence_p),
         "yes" if pair.equivalent else "not shown",
-        "not possible" if hopeless else _count(pair.sensors_to_show_alike),
+        "not possible" if is_hopeless else _count(pair.sensors_to_show_alike),
     )
 
 
@@ -168,14 +180,14 @@ def _group_tables(comparison: Comparison) -> Iterator[Table]:
         for of_group in comparison.groups
     ]
     yield from _table(_GROUPS, columns, rows, (1, 2, 5))
-    failed = []
+    failed_rows = []
     for group in comparison.groups:
         total = sum(failure.sensors for failure in group.failures)
-        failed += [
+        failed_rows += [
             (group.name, failure.metric, str(failure.sensors), f"{100 * failure.sensors / total:.0f} %")
             for failure in group.failures[:_MOST_DRAWN]
         ]
-    yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed, (2, 3))
+    yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed_rows, (2, 3))
 
 
 def _select_for_figure(comparison: Comparison) -> list[MetricComparison]:
@@ -188,18 +200,18 @@ def _select_for_figure(comparison: Comparison) -> list[MetricComparison]:
 
 
 def _strips(metric: MetricComparison, comparison: Comparison) -> Figure:
-    shown = [sample for sample in metric.samples if len(sample[2])]
+    samples = [sample for sample in metric.samples if len(sample[2])]
 
     def draw() -> str:
         # loads matplotlib
         from cbsr_qa.studies.compare.figures import strips
 
-        return strips(_label(metric), shown, [group.name for group in comparison.groups])
+        return strips(_label(metric), samples, [group.name for group in comparison.groups])
 
-    words = "; ".join(
-        f"{group} on {station}: {len(v)} sensors, mean {number(float(v.mean()))}" for group, station, v in shown
+    description = "; ".join(
+        f"{group} on {station}: {len(v)} sensors, mean {number(float(v.mean()))}" for group, station, v in samples
     )
-    return Figure(_STRIPS.format(metric=capital(metric.values.title)), words, draw)
+    return Figure(_STRIPS.format(metric=capital(metric.values.title)), description, draw)
 
 
 def _maps(metric: MetricComparison, comparison: Comparison) -> Iterator[Block]:
@@ -208,11 +220,13 @@ def _maps(metric: MetricComparison, comparison: Comparison) -> Iterator[Block]:
         if not difference.places:
             continue
         pair = f"{difference.group} − {difference.reference}"
-        known = [(p.x_mm, p.y_mm, p) for p in difference.places if p.x_mm is not None and p.y_mm is not None]
-        if known:
-            words = "; ".join(f"{place.location}: {number(place.difference)}" for *_, place in known)
+        located_places = [(p.x_mm, p.y_mm, p) for p in difference.places if p.x_mm is not None and p.y_mm is not None]
+        if located_places:
+            description = "; ".join(f"{place.location}: {number(place.difference)}" for *_, place in located_places)
             caption = _MAP.format(metric=title, pair=pair, others=comparison.others)
-            yield Figure(caption, words, partial(_draw_map, metric.values.unit, known, comparison.terms.level))
+            yield Figure(
+                caption, description, partial(_draw_map, metric.values.unit, located_places, comparison.terms.level)
+            )
         rows = [(p.location, number(p.difference), _range(p.low, p.high), _p(p.p)) for p in difference.places]
         columns = (
             "place",
@@ -268,11 +282,11 @@ def _table(
     folded: bool = False,
 ) -> Iterator[Table]:
     """Lay out rows, if any, without empty columns."""
-    kept = [k for k in range(len(columns)) if any(row[k] for row in rows)]
-    if kept:
-        cells = [[row[k] for k in kept] for row in rows]
-        right = [place for place, k in enumerate(kept) if k in numeric]
-        yield replace(text_table(caption, [columns[k] for k in kept], cells, right), folded=folded)
+    filled_columns = [k for k in range(len(columns)) if any(row[k] for row in rows)]
+    if filled_columns:
+        cells = [[row[k] for k in filled_columns] for row in rows]
+        right = [place for place, k in enumerate(filled_columns) if k in numeric]
+        yield replace(text_table(caption, [columns[k] for k in filled_columns], cells, right), folded=folded)
 
 
 def _result(metric: MetricComparison, difference: Estimated, comparison: Comparison) -> str:

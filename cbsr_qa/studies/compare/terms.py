@@ -60,7 +60,7 @@ class Terms:
     names : metrics to compare; empty for all.
     margins, detect : name of a metric → difference that does not matter, or for which the number of sensors is
         computed.
-    power : for numbers of sensors.
+    power : power for which numbers of sensors are computed.
     """
 
     by: By

@@ -46,10 +46,10 @@ class MetricValues:
 
     Parameters
     ----------
-    title : its name, with phase and qualifier if another metric has the same name.
+    title : name of the metric, with phase and qualifier if another metric has the same name.
     lower, upper : limit of the latest run with one, or None.
-    mean, least, most : (R,) of each run's values; NaN without any, or if one is only a lower bound, infinite or too
-        large to be squared.
+    mean, least, most : (R,) mean, smallest and largest of each run's values; NaN without any, or if one is only a
+        lower bound, infinite or too large to be squared.
     per_run : largest number of values per run.
     at : location → (R,) mean of the values there; empty for values without location.
     failed : (R,) whether a value was outside its limit or, though limited, could not be measured.
@@ -96,25 +96,27 @@ def values_of(table: FleetTable, used: BoolArray) -> Iterator[MetricValues]:
 
 
 def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> MetricValues:
-    absent = _absent(table, rows, used)
-    rows, mixed = _one_unit(table, rows)
+    absent_warnings = _absent(table, rows, used)
+    rows, unit_warnings = _one_unit(table, rows)
     run, value, state = table.run[rows], table.value[rows], table.state[rows]
     kinds = [table.kinds[index] for index in np.unique(table.kind[rows])]
     runs = len(table.runs)
-    bounded = np.bincount(run, state & State.LOWER_BOUND, runs) > 0
-    beyond = ~np.isnan(value) & ~(np.abs(value) <= LARGEST)
-    huge = np.bincount(run, beyond, runs) > 0
-    known = ~np.isnan(value) & ~(bounded | huge)[run]
-    counts = np.bincount(run[known], minlength=runs)
-    held = np.bincount(run, minlength=runs)
+    is_bounded = np.bincount(run, state & State.LOWER_BOUND, runs) > 0
+    is_beyond = ~np.isnan(value) & ~(np.abs(value) <= LARGEST)
+    has_huge = np.bincount(run, is_beyond, runs) > 0
+    is_known = ~np.isnan(value) & ~(is_bounded | has_huge)[run]
+    counts = np.bincount(run[is_known], minlength=runs)
+    row_counts = np.bincount(run, minlength=runs)
     lower, upper = _limits(table, rows)
     warnings = [
-        *mixed,
-        *absent,
-        *_beyond(table, run[beyond], value[beyond]),
-        *_sensors(_NOT_MEASURED, table, np.flatnonzero((held > 0) & (counts == 0) & ~bounded & ~huge)),
-        *_sensors(_LOWER_BOUND, table, np.flatnonzero(bounded)),
-        *_sensors(_FEWER, table, np.flatnonzero((counts > 0) & (counts < held.max())), most=str(held.max())),
+        *unit_warnings,
+        *absent_warnings,
+        *_beyond(table, run[is_beyond], value[is_beyond]),
+        *_sensors(_NOT_MEASURED, table, np.flatnonzero((row_counts > 0) & (counts == 0) & ~is_bounded & ~has_huge)),
+        *_sensors(_LOWER_BOUND, table, np.flatnonzero(is_bounded)),
+        *_sensors(
+            _FEWER, table, np.flatnonzero((counts > 0) & (counts < row_counts.max())), most=str(row_counts.max())
+        ),
         *([_SEVERAL_LIMITS] if len({(kind.lower, kind.upper) for kind in kinds}) > 1 else []),
     ]
     return MetricValues(
@@ -123,11 +125,11 @@ def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp
         unit=kinds[0].unit,
         lower=lower,
         upper=upper,
-        mean=_means(run[known], value[known], runs),
-        least=_extremes(np.minimum, run[known], value[known], runs),
-        most=_extremes(np.maximum, run[known], value[known], runs),
-        per_run=int(held.max()),
-        at=_average_by_location(table, rows[known], runs),
+        mean=_means(run[is_known], value[is_known], runs),
+        least=_extremes(np.minimum, run[is_known], value[is_known], runs),
+        most=_extremes(np.maximum, run[is_known], value[is_known], runs),
+        per_run=int(row_counts.max()),
+        at=_average_by_location(table, rows[is_known], runs),
         failed=np.bincount(run, state & (State.FAILED | State.UNMEASURED), runs) > 0,
         warnings=tuple(warnings),
     )
@@ -155,8 +157,8 @@ def _average_by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -
     members.pop("", None)
     means = {}
     for location, indices in sorted(members.items()):
-        here = rows[np.isin(table.kind[rows], indices)]
-        means[location] = _means(table.run[here], table.value[here], runs)
+        location_rows = rows[np.isin(table.kind[rows], indices)]
+        means[location] = _means(table.run[location_rows], table.value[location_rows], runs)
     return means
 
 
@@ -165,35 +167,39 @@ def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.int
     counts: Counter[str] = Counter()
     for index, count in zip(*np.unique(table.kind[rows], return_counts=True), strict=True):
         counts[table.kinds[index].unit] += int(count)
-    (unit, _), *others = counts.most_common()
-    if not others:
+    (unit, _), *other_counts = counts.most_common()
+    if not other_counts:
         return rows, []
-    same = np.array([kind.unit == unit for kind in table.kinds])[table.kind[rows]]
-    other = ", ".join(name for name, _ in others)
-    out = np.unique(table.run[rows[~same]]).astype(np.intp)
-    return rows[same], list(_sensors(_OTHER_UNIT, table, out, other=other, unit=unit))
+    has_unit = np.array([kind.unit == unit for kind in table.kinds])[table.kind[rows]]
+    other_units = ", ".join(name for name, _ in other_counts)
+    runs_left_out = np.unique(table.run[rows[~has_unit]]).astype(np.intp)
+    return rows[has_unit], list(_sensors(_OTHER_UNIT, table, runs_left_out, other=other_units, unit=unit))
 
 
 def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Iterator[str]:
     """Name runs that count but do not have such a metric, not even as missing."""
-    has = np.zeros(len(table.runs), dtype=np.bool_)
-    has[table.run[rows]] = True
-    without = np.flatnonzero(used & ~has)
-    if not len(without):
+    has_metric = np.zeros(len(table.runs), dtype=np.bool_)
+    has_metric[table.run[rows]] = True
+    runs_without = np.flatnonzero(used & ~has_metric)
+    if not len(runs_without):
         return
-    measuring = {table.runs[run].recipe for run in np.flatnonzero(has)}
-    others = [table.runs[run].recipe for run in without if table.runs[run].recipe not in measuring]
-    strayed = [run for run in without if table.runs[run].recipe in measuring]
-    yield from _sensors(_NEVER_MEASURED, table, np.array(strayed, dtype=np.intp))
-    if others:
-        yield _OTHER_RECIPE.format(runs=plural(len(others), "run"), recipes=list_names(sorted(set(others))))
+    measuring_recipes = {table.runs[run].recipe for run in np.flatnonzero(has_metric)}
+    other_recipes = [
+        table.runs[run].recipe for run in runs_without if table.runs[run].recipe not in measuring_recipes
+    ]
+    unmeasured_runs = [run for run in runs_without if table.runs[run].recipe in measuring_recipes]
+    yield from _sensors(_NEVER_MEASURED, table, np.array(unmeasured_runs, dtype=np.intp))
+    if other_recipes:
+        yield _OTHER_RECIPE.format(
+            runs=plural(len(other_recipes), "run"), recipes=list_names(sorted(set(other_recipes)))
+        )
 
 
 def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
     """Name values that are too large for arithmetic."""
-    shown = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
-    if shown:
-        yield _BEYOND.format(values=list_names(sorted(shown)))
+    sensors = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
+    if sensors:
+        yield _BEYOND.format(values=list_names(sorted(sensors)))
 
 
 def _sensors(template: str, table: FleetTable, runs: NDArray[np.intp], **words: str) -> Iterator[str]:

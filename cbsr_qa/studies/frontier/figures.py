@@ -36,8 +36,8 @@ def _canvas(points: Sequence[Point], chosen: Recommendation) -> Canvas:
         if "force_error" in point.accuracy:
             _draw_point(axes, point, colours[point.series])
     if chosen.accuracy is not None:
-        at = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
-        axes.plot(*at, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
+        chosen_place = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
+        axes.plot(*chosen_place, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
     plain_ticks(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
     plain_ticks(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
     axes.set_xlabel("station time a sensor [min]")

@@ -42,14 +42,16 @@ class Files:
         if self.recipe is not None:
             check_recipe(self.recipe)
         options = {"--recipe": self.recipe, "--output": self.output, "--png": self.png}
-        wanted = {option: path for option, path in options.items() if path is not None}
-        for option, path in wanted.items():
+        paths_by_option = {option: path for option, path in options.items() if path is not None}
+        for option, path in paths_by_option.items():
             _check_place(option, path)
-        if len({path.absolute() for path in wanted.values()}) < len(wanted):
-            raise RefusedError(f"{', '.join(wanted)} name the same file", remedy="give each a different name")
-        for option, what in (("--recipe", "recipe to write"), ("--png", "force error to draw")):
-            if option in wanted and TimeBasis.STATION not in clocks:
-                raise RefusedError(f"{option}: there is no {what}", remedy="sweep the station's clock")
+        if len({path.absolute() for path in paths_by_option.values()}) < len(paths_by_option):
+            raise RefusedError(
+                f"{', '.join(paths_by_option)} name the same file", remedy="give each a different name"
+            )
+        for option, missing_content in (("--recipe", "recipe to write"), ("--png", "force error to draw")):
+            if option in paths_by_option and TimeBasis.STATION not in clocks:
+                raise RefusedError(f"{option}: there is no {missing_content}", remedy="sweep the station's clock")
 
 
 def check_recipe(path: Path) -> None:
@@ -59,10 +61,10 @@ def check_recipe(path: Path) -> None:
     with writing(path):
         try:
             with open_foreign(path) as file:
-                first = file.read(100)
+                first_bytes = file.read(100)
         except FileNotFoundError:
             return
-    if not first.startswith(f"# {WRITTEN_BY}".encode()):
+    if not first_bytes.startswith(f"# {WRITTEN_BY}".encode()):
         raise RefusedError(
             f"{path} exists already, and cbsr-qa frontier did not write it",
             remedy="name another file, or remove it first",
@@ -74,11 +76,11 @@ def _check_place(option: str, path: Path) -> None:
     with writing(path):
         if path.is_dir():
             raise RefusedError(f"{option}: {path} is a folder", remedy="name a file in it")
-        above = next(folder for folder in path.absolute().parents if folder.exists())
-        if not above.is_dir():
-            raise NotADirectoryError(errno.ENOTDIR, f"{above} is not a folder")
-        if not os.access(above, os.W_OK | os.X_OK):
-            raise PermissionError(errno.EACCES, f"folder {above} is not writable")
+        parent = next(folder for folder in path.absolute().parents if folder.exists())
+        if not parent.is_dir():
+            raise NotADirectoryError(errno.ENOTDIR, f"{parent} is not a folder")
+        if not os.access(parent, os.W_OK | os.X_OK):
+            raise PermissionError(errno.EACCES, f"folder {parent} is not writable")
 
 
 def write_recipe(recommended: Recommendation, path: Path) -> None:

@@ -11,7 +11,7 @@ from pydantic import TypeAdapter, ValidationError
 
 from cbsr_qa.domain.errors import NumericsError, StoreError
 
-#: Which values are more accurate: larger or smaller ones, or those near a stated one, which are not compared.
+#: Direction of more accurate values: larger, smaller, or near a stated value (such values are not compared).
 Better = Literal["more", "less", "stated"]
 #: Setting of a knob: a name, a switch, or a number.
 Knob = str | bool | int | float
@@ -33,8 +33,8 @@ class Accuracy:
 
     Parameters
     ----------
-    stderr : of that mean; None if the value is exact, or from a single seed.
-    better : whether larger (an overlap) or smaller (an error) is more accurate, or near to a stated value.
+    stderr : standard error of that mean; None if the value is exact, or from a single seed.
+    better : direction of more accurate values: larger (an overlap), smaller (an error), or near to a stated value.
     """
 
     value: float
@@ -90,10 +90,10 @@ class Point:
     def __post_init__(self) -> None:
         numbers = {"compute_s": self.compute_s, "station_s": self.station_s, **self.costs}
         numbers |= {name: value for name, value in self.knobs.items() if not isinstance(value, str)}
-        wrong = [name for name, value in numbers.items() if value is not None and not math.isfinite(value)]
-        if wrong or self.seeds < 1:
-            what = f"{wrong[0]} of {numbers[wrong[0]]}" if wrong else f"{self.seeds} seeds"
-            raise NumericsError(f"a point of series {self.series!r} has {what}", remedy="give finite numbers")
+        bad_names = [name for name, value in numbers.items() if value is not None and not math.isfinite(value)]
+        if bad_names or self.seeds < 1:
+            problem = f"{bad_names[0]} of {numbers[bad_names[0]]}" if bad_names else f"{self.seeds} seeds"
+            raise NumericsError(f"a point of series {self.series!r} has {problem}", remedy="give finite numbers")
 
 
 def restore(kind: type[T], document: Mapping[str, Any]) -> T:
@@ -104,12 +104,14 @@ def restore(kind: type[T], document: Mapping[str, Any]) -> T:
     try:
         adapter = TypeAdapter(kind)
         piece = adapter.validate_json(json.dumps(document), strict=True)
-        whole = adapter.dump_python(piece, mode="json")
-        given = {"pareto": None, **document} if "pareto" in whole else document  # absent in older documents
-        differing = [key for key in {**whole, **given} if key not in given or whole.get(key) != given[key]]
-        if not differing:
+        complete = adapter.dump_python(piece, mode="json")
+        stored = {"pareto": None, **document} if "pareto" in complete else document  # absent in older documents
+        differing_keys = [
+            key for key in {**complete, **stored} if key not in stored or complete.get(key) != stored[key]
+        ]
+        if not differing_keys:
             return piece
-        why = f"{differing[0]}: incomplete or unknown"
+        why = f"{differing_keys[0]}: incomplete or unknown"
     except ValidationError as error:
         (first, *_) = error.errors()
         why = f"{'.'.join(map(str, first['loc']))}: {first['msg']}"

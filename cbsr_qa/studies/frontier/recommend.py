@@ -30,29 +30,29 @@ def mark_worth(
     Among settings of the same cost, differences within their errors do not count. A setting is not dominated by one
     that lacks any of its accuracies. Standard errors that are None count as zero.
 
-    Kept means not dominated itself: otherwise a series of settings, each as good as the next within its error, would
-    be dropped down to the cheapest, though the last is far better than the first. Settings cannot dominate each other
-    in a circle, since each step is cheaper, or as cheap and better; so the kept ones depend on the points alone,
-    there is at least one, and leaving out a dominated setting changes nothing.
+    A setting is kept if it is not dominated itself. Without this condition, a series of settings, each as good as the
+    next within its error, would be dropped down to the cheapest, though the last is far better than the first.
+    Settings cannot dominate each other in a circle, since each step is cheaper, or as cheap and better. The kept ones
+    thus depend on the points alone, there is at least one, and leaving out a dominated setting changes nothing.
 
     Parameters
     ----------
-    cost : of a point; one whose cost is None is not worth it.
-    names : of the accuracies to compare, by default all of the points; a point that lacks one is not worth its cost.
+    cost : function that returns the cost of a point; a point without a cost is not worth it.
+    names : names of the accuracies to compare, by default all; a point that lacks one is not worth its cost.
     across_series : compare settings of different series, too.
     """
     priced = [
-        (price, {name: point.accuracy[name] for name in names or point.accuracy}, at)
-        for at, point in enumerate(points)
+        (price, {name: point.accuracy[name] for name in names or point.accuracy}, index)
+        for index, point in enumerate(points)
         if (price := cost(point)) is not None and point.accuracy.keys() >= set(names)
     ]
-    kept: list[tuple[float, Mapping[str, Accuracy], int]] = []
-    for price, stated, at in sorted(priced, key=_possibly_dominating):
-        rivals = [way for way in kept if across_series or points[way[2]].series == points[at].series]
-        if not any(_dominates(stated, price > other_price, other) for other_price, other, _ in rivals):
-            kept.append((price, stated, at))
-    worth = {at for _, _, at in kept}
-    return [replace(point, pareto=at in worth) for at, point in enumerate(points)]
+    front: list[tuple[float, Mapping[str, Accuracy], int]] = []
+    for price, accuracy, index in sorted(priced, key=_possibly_dominating):
+        rivals = [rival for rival in front if across_series or points[rival[2]].series == points[index].series]
+        if not any(_dominates(accuracy, price > other_price, other) for other_price, other, _ in rivals):
+            front.append((price, accuracy, index))
+    worthwhile = {index for _, _, index in front}
+    return [replace(point, pareto=index in worthwhile) for index, point in enumerate(points)]
 
 
 def joint_stderr(one: Accuracy, other: Accuracy) -> float:
@@ -64,8 +64,8 @@ def _possibly_dominating(
     way: tuple[float, Mapping[str, Accuracy], int],
 ) -> tuple[float, int, list[tuple[str, float]]]:
     """Sort key that puts possibly dominating settings first: cheaper, more accuracies, smaller errors."""
-    price, stated, _ = way
-    return price, -len(stated), sorted((name, value.shortfall) for name, value in stated.items())
+    price, accuracy, _ = way
+    return price, -len(accuracy), sorted((name, value.shortfall) for name, value in accuracy.items())
 
 
 def _dominates(stated: Mapping[str, Accuracy], dearer: bool, other: Mapping[str, Accuracy]) -> bool:
@@ -74,12 +74,15 @@ def _dominates(stated: Mapping[str, Accuracy], dearer: bool, other: Mapping[str,
         return False
     pairs = [(value, other[name]) for name, value in stated.items()]
     if dearer:
-        return all(theirs.shortfall <= own.shortfall + joint_stderr(own, theirs) for own, theirs in pairs)
-    differences = [theirs.shortfall - own.shortfall for own, theirs in pairs]
+        return all(
+            other_accuracy.shortfall <= accuracy.shortfall + joint_stderr(accuracy, other_accuracy)
+            for accuracy, other_accuracy in pairs
+        )
+    differences = [other_accuracy.shortfall - accuracy.shortfall for accuracy, other_accuracy in pairs]
     return max(differences, default=0.0) <= 0 and any(differences)
 
 
-#: Without a target: longest time, and largest ratio of errors to the paper's campaign.
+#: Longest time, and largest ratio of errors to those of the paper's campaign, if no target is given.
 USUAL_BUDGET_S: Final = 25 * 60.0
 USUAL_ROOM: Final = 1.2
 _FORCE: Final = "force_error"
@@ -135,25 +138,26 @@ def recommend(tried: Sequence[tuple[Setting, Point]], target: Target, *, paper: 
 
     RefusedError if no tried setting meets the target; names the nearest.
     """
-    usable = [way for way in tried if _FORCE in way[1].accuracy and way[1].station_s is not None]
+    usable_settings = [way for way in tried if _FORCE in way[1].accuracy and way[1].station_s is not None]
     no_target, force_N = target == Target(), target.force_error_N
     budget_s = USUAL_BUDGET_S if no_target else target.budget_s
-    within = [way for way in usable if budget_s is None or _seconds(way) <= budget_s]
-    enough = [way for way in within if force_N is None or _upper_N(way) <= force_N]
-    if not enough:
-        raise _none(usable, force_N, budget_s)
-    of = plural(len(within), "setting") + ("" if budget_s is None else f" within {budget_s / 60:g} min")
+    affordable = [way for way in usable_settings if budget_s is None or _seconds(way) <= budget_s]
+    sufficient = [way for way in affordable if force_N is None or _upper_N(way) <= force_N]
+    if not sufficient:
+        raise _none(usable_settings, force_N, budget_s)
+    candidates = plural(len(affordable), "setting") + ("" if budget_s is None else f" within {budget_s / 60:g} min")
     if force_N is not None:
-        setting, point = min(enough, key=_seconds)
-        why = f"the fastest of {of} whose force error, with its standard error, is at most {force_N:g} N"
+        setting, point = min(sufficient, key=_seconds)
+        why = f"the fastest of {candidates} whose force error, with its standard error, is at most {force_N:g} N"
         return Recommendation.from_point(point, why, setting)
-    setting, point = min(enough, key=_upper_N)
-    why = f"the most accurate of {of}"
+    setting, point = min(sufficient, key=_upper_N)
+    why = f"the most accurate of {candidates}"
     if no_target and paper is not None and _FORCE in paper.accuracy:
-        share = point.accuracy[_FORCE].value / paper.accuracy[_FORCE].value
-        met = "within" if share <= USUAL_ROOM else "not within"
+        ratio = point.accuracy[_FORCE].value / paper.accuracy[_FORCE].value
+        verdict = "within" if ratio <= USUAL_ROOM else "not within"
         why += (
-            f"; its force error is {share:.2f} times that of the paper's campaign, {met} the {USUAL_ROOM:g} asked for"
+            f"; its force error is {ratio:.2f} times that of the paper's campaign,"
+            f" {verdict} the {USUAL_ROOM:g} asked for"
         )
     return Recommendation.from_point(point, why, setting)
 
@@ -163,10 +167,10 @@ def _none(usable: Sequence[tuple[Setting, Point]], force_N: float | None, budget
         return RefusedError("no setting that was tried has a force error", remedy="run the sweep without --quick")
     force = "" if force_N is None else f"has a force error, with its standard error, of at most {force_N:g} N"
     time = "" if budget_s is None else f"at most {budget_s / 60:g} min"
-    wanted = f"{force} in {time}" if force and time else force or f"takes {time}"
+    target = f"{force} in {time}" if force and time else force or f"takes {time}"
     best, quickest = min(usable, key=_upper_N), min(usable, key=_seconds)
     return RefusedError(
-        f"no setting of {len(usable)} {wanted}",
+        f"no setting of {len(usable)} {target}",
         remedy=f"the most accurate has {_describe_setting(best)}, the quickest {_describe_setting(quickest)}",
     )
 

@@ -71,13 +71,13 @@ def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
 
 
 def _page(frontier: Frontier) -> Page:
-    chosen, points = frontier.recommended, frontier.points
-    banner = Banner("plain", _NONE, "No setting recommended", chosen.why)
+    recommended, points = frontier.recommended, frontier.points
+    banner = Banner("plain", _NONE, "No setting recommended", recommended.why)
     facts = []
-    if chosen.way is not None and chosen.accuracy is not None:
-        force, minutes = _format_accuracy(chosen.accuracy["force_error"]), (chosen.station_s or 0) / 60
-        banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", chosen.why)
-        facts = [("Recommended", _setting(chosen.way))]
+    if recommended.way is not None and recommended.accuracy is not None:
+        force, minutes = _format_accuracy(recommended.accuracy["force_error"]), (recommended.station_s or 0) / 60
+        banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", recommended.why)
+        facts = [("Recommended", _setting(recommended.way))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),
@@ -139,23 +139,25 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
 
 def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
     """Knobs left out of a series' table because they are constant in it, though other series vary them."""
-    shown = _varying_knobs(members)
-    others = {
+    varying = _varying_knobs(members)
+    constant_knobs = {
         name: value
         for name, value in members[0].knobs.items()
-        if name not in shown
+        if name not in varying
         and any(p.clock is members[0].clock and p.knobs.get(name, value) != value for p in points)
     }
-    return _knobs(others)
+    return _knobs(constant_knobs)
 
 
 def notes_of(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     if len({point.note for point in members}) == 1:
         return list(filter(None, [members[0].note]))
-    shown = _varying_knobs(members)
+    varying = _varying_knobs(members)
     return [
-        f"{_knobs({name: point.knobs.get(name) for name in shown})}: {point.note}" for point in members if point.note
+        f"{_knobs({name: point.knobs.get(name) for name in varying})}: {point.note}"
+        for point in members
+        if point.note
     ]
 
 
@@ -173,8 +175,8 @@ def _knobs(knobs: Mapping[str, Knob | None]) -> str:
 def _name_knob(knob: str) -> tuple[str, str]:
     """Name of a knob in words, and its unit; empty without one."""
     name, _, last = knob.rpartition("_")
-    words, unit = (name, last) if name and last in _UNITS else (knob, "")
-    return _words(words), unit
+    stem, unit = (name, last) if name and last in _UNITS else (knob, "")
+    return _words(stem), unit
 
 
 def _words(name: str) -> str:

@@ -52,7 +52,7 @@ def simulate_sensor(
 
     Parameters
     ----------
-    frame_period_s : of a frame; the noise of a reading falls with its square root (white noise).
+    frame_period_s : duration of a frame; the noise of a reading falls with its square root (white noise).
     whole_holds : False to take only the last frames of the grid's holds too.
 
     Raises
@@ -97,14 +97,14 @@ class _Sparse:
         self.role = getattr(sequence, "role", Role.OTHER)
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
+        holds_whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
         for step in self._sequence.steps(context):
-            if isinstance(step, Hold) and step.acquire and not whole and step.hold_s > kept_s:
+            if isinstance(step, Hold) and step.acquire and not holds_whole and step.hold_s > kept_s:
                 yield Hold(step.hold_s - kept_s, acquire=False)
                 yield AcquireFrames(_FRAMES_BEFORE)
             else:
                 yield step
-            whole = self._whole_holds and isinstance(step, Press)
+            holds_whole = self._whole_holds and isinstance(step, Press)
 
 
 def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) -> Configuration:

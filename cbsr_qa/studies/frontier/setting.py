@@ -12,7 +12,7 @@ from cbsr_qa.domain.results.dimensions import Dimensions
 from cbsr_qa.studies.frontier.point import Knob
 from cbsr_qa.studies.simulated import copy_shipped
 
-#: Shipped recipe that provides the imaging, metrics and limits of settings, and what they do not set of its phases.
+#: Shipped recipe that provides imaging, metrics and limits, and the options of phases that settings leave open.
 BASE: Final = "campaign"
 #: Names of the phases of every recipe of the frontier.
 START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loads", "held-out loads"
@@ -37,13 +37,13 @@ class Setting:
     Parameters
     ----------
     places : number; nine are the paper's, others a sunflower over the disc of 40 mm.
-    strains_percent, trials : at each place.
-    hold_s, rest_s : of each press.
+    strains_percent, trials : strains and number of trials at each place.
+    hold_s, rest_s : time held and time of rest of each press.
     predicted : whether short holds are extrapolated to the end of long ones (transient compensation).
     steady_frames : averaged at the end of each hold.
     first_rest_s : before the first press.
     checks : random loads held for a minute, for relaxation and the accuracy of force.
-    frame_period_s : of one frame; its noise falls with the square root (NPLC of the source meter).
+    frame_period_s : duration of a frame; its noise falls with the square root (NPLC of the source meter).
     choice : choice of places: ``"sunflower"``, as in a recipe; or out of thirty ``"farthest first"`` or ``"least sure
         first"``, which evaluates the loads before the next choice.
     """
@@ -77,7 +77,7 @@ class Setting:
 
     @property
     def is_recipe(self) -> bool:
-        """Whether a recipe can express it: frame times are the source meter's, and no recipe chooses as it goes."""
+        """Whether a recipe can express it: a recipe sets no frame time, and does not choose places during the run."""
         return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:
@@ -112,7 +112,7 @@ class Setting:
 
     def _phases(self, base: Sequence[Mapping[str, Any]]) -> list[dict[str, Any]]:
         """Three phases of the base with this setting's places, loads and times."""
-        own: dict[str, dict[str, Any]] = {
+        keys_by_phase: dict[str, dict[str, Any]] = {
             START: {
                 "rest_s": self.first_rest_s,
                 "frames": 20,
@@ -135,8 +135,8 @@ class Setting:
             },
         }
         if not self.checks:
-            del own[CHECK]
-        return [{**phase, **own[phase["name"]]} for phase in base if phase["name"] in own]
+            del keys_by_phase[CHECK]
+        return [{**phase, **keys_by_phase[phase["name"]]} for phase in base if phase["name"] in keys_by_phase]
 
 
 def phase_of_test_loads(count: int) -> dict[str, Any]:

@@ -76,9 +76,11 @@ def parts_of_paper() -> Ways:
 
 def parts_of_even(*, quick: bool) -> Ways:
     """Parts of thirty places (16 in the quick sweep) held for a minute, beginning with the whole."""
-    whole, holds_s = (QUICK_EVEN, (15.0,)) if quick else (EVEN, (30.0, 20.0, 15.0, 10.0))
-    short = [replace(whole, hold_s=hold_s, predicted=predicted) for hold_s in holds_s for predicted in (False, True)]
-    holds = [("hold", setting) for setting in (whole, *short)]
+    full_setting, holds_s = (QUICK_EVEN, (15.0,)) if quick else (EVEN, (30.0, 20.0, 15.0, 10.0))
+    short = [
+        replace(full_setting, hold_s=hold_s, predicted=predicted) for hold_s in holds_s for predicted in (False, True)
+    ]
+    holds = [("hold", setting) for setting in (full_setting, *short)]
     frames = [("frames averaged", replace(EVEN, steady_frames=count)) for count in (4, 1, 2, 8)]
     return holds if quick else [*holds, *frames]
 
@@ -104,22 +106,22 @@ def ways_by_simulation(*, quick: bool) -> Ways:
 
 def station_work(*, quick: bool) -> Iterator[Work]:
     """Yield simulations, longest first, whose results are :class:`Tried`."""
-    mode, seeds, even = ("quick", QUICK_SEEDS, QUICK_EVEN) if quick else ("full", SEEDS, EVEN)
+    mode, seeds, even_setting = ("quick", QUICK_SEEDS, QUICK_EVEN) if quick else ("full", SEEDS, EVEN)
     sweep, choices = f"station {_VERSION}/{cbsr_qa.__version__}", [] if quick else choices_of_even()
     for seed in seeds:
         if not quick:
             paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
             yield Work(f"{sweep}/paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper)
-        parts = partial(try_ways, even, seed, [*parts_of_even(quick=quick), *choices])
-        yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", parts)
-    alone: dict[Setting, list[str]] = {}
+        even_work = partial(try_ways, even_setting, seed, [*parts_of_even(quick=quick), *choices])
+        yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", even_work)
+    series_by_setting: dict[Setting, list[str]] = {}
     for series, setting in ways_by_simulation(quick=quick):
-        alone.setdefault(setting, []).append(series)
-    for setting, names in alone.items():
-        what = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
+        series_by_setting.setdefault(setting, []).append(series)
+    for setting, names in series_by_setting.items():
+        knobs = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
         for seed in seeds:
             run = partial(try_ways, setting, seed, [(name, setting) for name in names])
-            key = f"{sweep}/alone/{'+'.join(names)}/{what}/{seed}"
+            key = f"{sweep}/alone/{'+'.join(names)}/{knobs}/{seed}"
             yield Work(key, f"{names[0]}: {setting.places} places, sensor {seed}", run)
 
 
@@ -151,8 +153,8 @@ class _Simulated:
         try:
             run = self._observe(setting)
             chosen = self._load_filter(run, setting)
-            own = select_loads(run, lambda load: load.phase != GRID or chosen(load.record))
-            return errors_of(own, self._held_out, self._design), ""
+            setting_run = select_loads(run, lambda load: load.phase != GRID or chosen(load.record))
+            return errors_of(setting_run, self._held_out, self._design), ""
         except CbsrError as refusal:
             return {}, refusal.reason
 
@@ -215,11 +217,11 @@ def worth_the_station(points: Sequence[Point]) -> list[Point]:
 
 
 def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:
-    refused = [tried.why for tried in group if tried.why]
-    notes = [f"refused on {len(refused)} of {len(group)} sensors: {refused[0]}"] if refused else []
+    refusals = [trial.why for trial in group if trial.why]
+    notes = [f"refused on {len(refusals)} of {len(group)} sensors: {refusals[0]}"] if refusals else []
     accuracy = {}
-    for name in () if refused else UNITS:
-        errors = [tried.errors[name] for tried in group if name in tried.errors]
+    for name in () if refusals else UNITS:
+        errors = [trial.errors[name] for trial in group if name in trial.errors]
         if len(errors) == len(group):
             accuracy[name] = _accuracy(errors, UNITS[name])
         elif errors:

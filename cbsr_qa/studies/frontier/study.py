@@ -60,18 +60,18 @@ def frontier(
         pieces = compute_pieces(list(work), Kept(path), tell, processes=processes)
         return [restore(kind, document) for documents in pieces.values() for document in documents]
 
-    tried: list[tuple[Setting, Point]] = []
-    measured: list[Point] = []
+    station_trials: list[tuple[Setting, Point]] = []
+    computer_points: list[Point] = []
     if TimeBasis.STATION in clocks:
         trials = swept(Tried, station_work(quick=quick), "station.jsonl", min(2, cpu_count() or 1))
-        tried = station_points(trials, station_seconds)
+        station_trials = station_points(trials, station_seconds)
     if TimeBasis.COMPUTER in clocks:
-        measured = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
-    recommended = _recommend(tried, target)
+        computer_points = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
+    recommended = _recommend(station_trials, target)
     if files.recipe is not None:
         write_recipe(recommended, files.recipe)
         recommended = replace(recommended, recipe=str(files.recipe))
-    return Frontier(quick, (*(point for _, point in tried), *measured), recommended)
+    return Frontier(quick, (*(point for _, point in station_trials), *computer_points), recommended)
 
 
 def _recommend(tried: Sequence[tuple[Setting, Point]], target: Target) -> Recommendation:

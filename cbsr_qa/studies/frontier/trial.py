@@ -48,9 +48,9 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
 
     Parameters
     ----------
-    run : with only the loads of a setting.
+    run : run with the loads of a setting only.
     held_out : loads of the same sensor outside the setting, held for a minute.
-    design : of the simulated sheet: the truth.
+    design : design of the simulated sheet: the truth.
 
     Returns
     -------
@@ -69,9 +69,9 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     model, material = force.learned.model, run.record.material
     places = sheet_places(model)
     truth = true_response(design, places, run.record.indenter.radius_mm)
-    near = np.hypot(*places.T) <= RADIUS_MM
-    mapped = np.exp(interpolate(model, model.log_response, places[near]))
-    errors["map_error"] = _rms(mapped / mapped.mean() / (truth[near] / truth[near].mean()) - 1)
+    is_near = np.hypot(*places.T) <= RADIUS_MM
+    mapped = np.exp(interpolate(model, model.log_response, places[is_near]))
+    errors["map_error"] = _rms(mapped / mapped.mean() / (truth[is_near] / truth[is_near].mean()) - 1)
     traces = hold_traces(run, long_holds(run))
     with suppress(CbsrError):
         gauge, _ = gauge_factor(run, force, traces=traces)
@@ -91,15 +91,15 @@ def select_loads(run: RunObservation, wanted: Callable[[LoadObservation], bool])
 
 def long_holds(run: RunObservation) -> list[LoadObservation]:
     """Select loads that determine the sensor's relaxation: those held longest."""
-    held = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
-    return [load for load, seconds in zip(run.loads, held, strict=True) if seconds >= 0.9 * max(held)]
+    hold_times_s = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
+    return [load for load, seconds in zip(run.loads, hold_times_s, strict=True) if seconds >= 0.9 * max(hold_times_s)]
 
 
 def _forces(learned: LearnedForce, held_out: RunObservation) -> dict[str, float]:
     tests = force_tests(held_out, learned)
-    known = [test.known_N - test.measured_N for test in tests]
-    estimated = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
-    errors = {"force_error": known, "force_error_found": estimated}
+    errors_at_known_places = [test.known_N - test.measured_N for test in tests]
+    errors_at_found_places = [test.found_N - test.measured_N for test in tests if test.found_N is not None]
+    errors = {"force_error": errors_at_known_places, "force_error_found": errors_at_found_places}
     return {name: _rms(values) for name, values in errors.items() if values}
 
 
@@ -157,14 +157,14 @@ def least_sure_first(run: RunObservation, count: int) -> list[int]:
 
 def _least_certain_places(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
     """The least certain places, apart from each other, or closer if there are no others."""
-    picked: list[int] = []
+    new_places: list[int] = []
     for apart_mm in (_APART_MM, 0.0):
         for k in np.argsort(-variance).tolist():
-            taken = k in chosen or k in picked
-            near = any(np.hypot(*(places[k] - places[other])) < apart_mm for other in picked)
-            if len(picked) < count and not taken and not near:
-                picked.append(k)
-    return picked
+            is_taken = k in chosen or k in new_places
+            near = any(np.hypot(*(places[k] - places[other])) < apart_mm for other in new_places)
+            if len(new_places) < count and not is_taken and not near:
+                new_places.append(k)
+    return new_places
 
 
 def farthest(run: RunObservation, count: int) -> list[int]:

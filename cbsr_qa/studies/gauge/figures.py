@@ -25,12 +25,12 @@ _LEGEND_ROW_IN: Final = 0.15
 def six_panels(study: Study, components: Components, unit: str) -> Canvas:
     """Draw components, values by sensor and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
     figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))
-    who, values = study.appraiser, study.values
+    appraiser, values = study.appraiser, study.values
     _components(axes[0], components)
     axes[1].set_title("by sensor")
     _dots(axes[1], values, study.sensors)
     _ranges(axes[2], study)
-    axes[3].set_title(f"by {who}")
+    axes[3].set_title(f"by {appraiser}")
     _dots(axes[3], values.swapaxes(0, 1), study.stations)
     _means(axes[4], study)
     _interaction(axes[5], study)
@@ -49,17 +49,17 @@ def _panels(below: float) -> tuple[Canvas, list[Axes]]:
 
 
 def _components(axes: Axes, components: Components) -> None:
-    parts = (components.gauge, components.repeatability, components.reproducibility, components.sensor)
-    bars = [("of the variance", [part.percent_contribution for part in parts])]
-    bars.append(("of study variation", [part.percent_study for part in parts]))
+    shares = (components.gauge, components.repeatability, components.reproducibility, components.sensor)
+    bars = [("of the variance", [share.percent_contribution for share in shares])]
+    bars.append(("of study variation", [share.percent_study for share in shares]))
     if components.gauge.percent_tolerance is not None:
-        bars.append(("of the tolerance", [part.percent_tolerance or 0.0 for part in parts]))
+        bars.append(("of the tolerance", [share.percent_tolerance or 0.0 for share in shares]))
     width = 0.8 / len(bars)
     light_grid(axes)
     for row, (name, heights) in enumerate(bars):
-        across = np.arange(len(parts)) + (row - (len(bars) - 1) / 2) * width
-        axes.bar(across, heights, 0.92 * width, color=CYCLE[row], label=name)
-    axes.set_xticks(range(len(parts)), ["gauge R&R", "repeat.", "reprod.", "sensors"])
+        x_positions = np.arange(len(shares)) + (row - (len(bars) - 1) / 2) * width
+        axes.bar(x_positions, heights, 0.92 * width, color=CYCLE[row], label=name)
+    axes.set_xticks(range(len(shares)), ["gauge R&R", "repeat.", "reprod.", "sensors"])
     axes.set_title("components")
     _legend_below(axes, 0.24)
 
@@ -87,21 +87,21 @@ def _ranges(axes: Axes, study: Study) -> None:
 def _means(axes: Axes, study: Study) -> None:
     means = study.values.mean(axis=2)
     d2, _ = d2_d3(study.shape[2])
-    half = 3 * float(np.ptp(study.values, axis=2).mean()) / (d2 * sqrt(study.shape[2]))
+    half_width = 3 * float(np.ptp(study.values, axis=2).mean()) / (d2 * sqrt(study.shape[2]))
     mean = float(means.mean())
     axes.set_title(f"mean of repeated runs, by {study.appraiser}")
-    _cells(axes, means, study, mean, mean - half, mean + half)
+    _cells(axes, means, study, mean, mean - half_width, mean + half_width)
 
 
 def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: float, high: float) -> None:
     """Draw one statistic of each cell, by appraiser and then sensor, with limits."""
     count = study.shape[0]
     for column, name in enumerate(study.stations):
-        across, values = column * count + np.arange(count), table[:, column]
-        axes.plot(across, values, "-", color=FAINT, linewidth=0.7)
-        outside = (values < low) | (values > high)
-        for flags, colour in ((~outside, BLUE), (outside, VERMILION)):
-            axes.plot(across[flags], values[flags], "o", color=colour, markersize=2.8)
+        x_positions, values = column * count + np.arange(count), table[:, column]
+        axes.plot(x_positions, values, "-", color=FAINT, linewidth=0.7)
+        is_outside = (values < low) | (values > high)
+        for flags, colour in ((~is_outside, BLUE), (is_outside, VERMILION)):
+            axes.plot(x_positions[flags], values[flags], "o", color=colour, markersize=2.8)
         if column:
             axes.axvline(column * count - 0.5, color=FAINT, linewidth=0.5)
         if len(study.stations) <= _MOST_NAMES:
@@ -137,8 +137,8 @@ def _legend_below(axes: Axes, gap_in: float) -> None:
 
 
 def _names(axes: Axes, names: Sequence[str]) -> None:
-    every = -(-len(names) // _MOST_NAMES)
-    places = range(0, len(names), every)
+    step = -(-len(names) // _MOST_NAMES)
+    places = range(0, len(names), step)
     short = [names[place][:10] for place in places]
     turned = 30 if sum(map(len, short)) > 48 else 0
     axes.set_xticks(list(places), short, rotation=turned, ha="right" if turned else "center", fontsize=6.5)

@@ -33,25 +33,25 @@ def choose_metrics(table: FleetTable, request: GaugeRequest, runs: Sequence[RunL
     _check_known(request, {kind.key for kind in table.kinds})
     figures = _select_locations(request, figures_of(table, by_location=request.by_location))
     series = series_of(runs, figures, tuple(dict.fromkeys(metric.name for metric in request.metrics)))
-    wanted = [toleranced for of_metric in series for toleranced in _add_tolerance(request, of_metric)]
-    if not wanted:
+    metrics = [toleranced for of_metric in series for toleranced in _add_tolerance(request, of_metric)]
+    if not metrics:
         raise RefusedError("none of these runs has measurements", remedy="choose runs that were finished")
-    _check_references(request, runs, wanted)
-    return wanted
+    _check_references(request, runs, metrics)
+    return metrics
 
 
 def _check_known(request: GaugeRequest, known: set[MetricKey]) -> None:
-    for index, wanted in enumerate(request.metrics):
-        if not known or any(wanted.means(key) for key in known):
+    for index, metric in enumerate(request.metrics):
+        if not known or any(metric.means(key) for key in known):
             continue
-        at = request.locate("metrics", index, "name")
-        own = [key for key in sorted(known) if key.name == wanted.name]
-        if not own:
-            raise missing_metric_error(wanted.name, {key.name for key in known}, at)
-        variants = dict.fromkeys(f"phase {key.phase!r}, qualifier {key.qualifier!r}" for key in own)
+        origin = request.locate("metrics", index, "name")
+        same_name_keys = [key for key in sorted(known) if key.name == metric.name]
+        if not same_name_keys:
+            raise missing_metric_error(metric.name, {key.name for key in known}, origin)
+        variants = dict.fromkeys(f"phase {key.phase!r}, qualifier {key.qualifier!r}" for key in same_name_keys)
         raise RefusedError(
-            f"{at}no run of these measured {wanted.name} of "
-            f"{f'phase {echo(wanted.phase)} and ' if wanted.phase else ''}qualifier {echo(wanted.qualifier or '')}",
+            f"{origin}no run of these measured {metric.name} of "
+            f"{f'phase {echo(metric.phase)} and ' if metric.phase else ''}qualifier {echo(metric.qualifier or '')}",
             remedy=f"measured: {'; '.join(variants)}",
         )
 
@@ -60,7 +60,11 @@ def _select_locations(request: GaugeRequest, figures: Figures) -> Figures:
     if not request.by_location or not figures:
         return figures
     names = {metric.name for metric in request.metrics}
-    located = {key: of for key, of in figures.items() if key.location and (not names or key.name in names)}
+    located = {
+        key: figures_by_run
+        for key, figures_by_run in figures.items()
+        if key.location and (not names or key.name in names)
+    }
     if not located:
         raise RefusedError(
             f"{request.locate('study', 'by_location')}these metrics are not of locations",
@@ -86,9 +90,9 @@ def _add_tolerance(request: GaugeRequest, series: Series) -> Iterator[Toleranced
 def _with_limits(series: Series, wanted: MetricWanted) -> Toleranced:
     if wanted.width is not None:
         return Toleranced(replace(series, lower=wanted.lower, upper=wanted.upper), wanted.width, "study")
-    own = series.tolerance
+    tolerance = series.tolerance
     # Coinciding limits leave no width.
-    return Toleranced(series, own, "recipe") if own else Toleranced(series, None, "")
+    return Toleranced(series, tolerance, "recipe") if tolerance else Toleranced(series, None, "")
 
 
 def _other_unit(at: str, unit: str, series: Series) -> RefusedError:
@@ -99,13 +103,13 @@ def _other_unit(at: str, unit: str, series: Series) -> RefusedError:
 
 
 def _check_references(request: GaugeRequest, lines: Sequence[RunLine], metrics: Sequence[Toleranced]) -> None:
-    measured, serials = {metric.series.key.name for metric in metrics}, {line.serial for line in lines}
+    studied_names, serials = {metric.series.key.name for metric in metrics}, {line.serial for line in lines}
     for index, reference in enumerate(request.references):
-        if reference.metric not in measured:
-            where = request.locate("reference", index, "metric")
+        if reference.metric not in studied_names:
+            origin = request.locate("reference", index, "metric")
             raise RefusedError(
-                f"{where}there is a reference value of {echo(reference.metric)}, which is not studied",
-                remedy=f"studied: {', '.join(sorted(measured))}; name others as metrics",
+                f"{origin}there is a reference value of {echo(reference.metric)}, which is not studied",
+                remedy=f"studied: {', '.join(sorted(studied_names))}; name others as metrics",
             )
         if reference.serial not in serials:
             raise RefusedError(
@@ -113,6 +117,11 @@ def _check_references(request: GaugeRequest, lines: Sequence[RunLine], metrics: 
                 f"{echo(reference.serial, 64)}, which has no run in this study",
                 remedy=f"sensors: {list_names(sorted(serials))}",
             )
-        for one in metrics:
-            if one.series.key.name == reference.metric and reference.unit not in ("", one.series.unit):
-                raise _other_unit(request.locate("reference", index, "unit"), reference.unit, one.series)
+        for metric_of_reference in metrics:
+            if metric_of_reference.series.key.name == reference.metric and reference.unit not in (
+                "",
+                metric_of_reference.series.unit,
+            ):
+                raise _other_unit(
+                    request.locate("reference", index, "unit"), reference.unit, metric_of_reference.series
+                )

@@ -34,8 +34,8 @@ class ReferenceValue:
 
     Parameters
     ----------
-    value, uncertainty : in ``unit``; one standard deviation, 0 if not stated.
-    unit : must be the metric's; empty if an option omits it, for the metric's unit (named in sentences).
+    value, uncertainty : reference value and its standard deviation in ``unit``; 0 if not stated.
+    unit : unit of the metric; empty if an option omits it, which means the metric's unit (named in sentences).
     """
 
     serial: str
@@ -51,7 +51,7 @@ class Bias:
 
     Parameters
     ----------
-    reference, uncertainty : of the sensor, in ``unit``.
+    reference, uncertainty : reference value of the sensor and its uncertainty, in ``unit``.
     runs : number of readings.
     bias : None for the reason ``why``.
     """
@@ -161,39 +161,51 @@ def _parse_option(text: str) -> ReferenceValue:
     remedy = (
         "write 'SERIAL.METRIC=VALUE±UNCERTAINTY UNIT', e.g. 'G-01.force_gain=10.6±0.02 N/V', or name a .toml file"
     )
-    parts = _GIVEN.fullmatch(text.strip())
-    if parts is None:
+    match = _GIVEN.fullmatch(text.strip())
+    if match is None:
         raise RefusedError(f"--reference {echo(text)} cannot be read", remedy=remedy)
     try:
-        value, uncertainty = float(parts["value"]), float(parts["u"] or 0)
+        value, uncertainty = float(match["value"]), float(match["u"] or 0)
     except ValueError as error:
         raise RefusedError(f"--reference {echo(text)}: {error}", remedy=remedy) from error
     if not (isfinite(value) and isfinite(uncertainty) and uncertainty >= 0):
         raise RefusedError(
             f"--reference {echo(text)}: allowed are finite values, uncertainties from 0", remedy=remedy
         )
-    return ReferenceValue(parts["serial"], parts["metric"], value, uncertainty, parts["unit"] or "")
+    return ReferenceValue(match["serial"], match["metric"], value, uncertainty, match["unit"] or "")
 
 
 def against_references(
     series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue], confidence: float
 ) -> AgainstReferences | None:
     """Compare the runs of one metric with its reference values; None without any."""
-    own = [reference for reference in references if reference.metric == series.key.name]
-    if not own:
+    metric_references = [reference for reference in references if reference.metric == series.key.name]
+    if not metric_references:
         return None
     rows = list(zip(series.lines, series.values, appraisers, strict=True))
     biases, stabilities = [], []
-    for reference in own:
-        of = [(line, value, who) for line, value, who in rows if line.serial == reference.serial]
-        for who in sorted({who for _, _, who in of}):
-            lines, values = zip(*((line, value) for line, value, by in of if by == who), strict=True)
-            biases.append(_bias(reference, series.unit, who, values, confidence))
-            stabilities.append(_stability(reference, who, lines, values, confidence))
-        if not of:
+    for reference in metric_references:
+        sensor_rows = [(line, value, appraiser) for line, value, appraiser in rows if line.serial == reference.serial]
+        for appraiser in sorted({appraiser for _, _, appraiser in sensor_rows}):
+            lines, values = zip(
+                *((line, value) for line, value, row_appraiser in sensor_rows if row_appraiser == appraiser),
+                strict=True,
+            )
+            biases.append(_bias(reference, series.unit, appraiser, values, confidence))
+            stabilities.append(_stability(reference, appraiser, lines, values, confidence))
+        if not sensor_rows:
             biases.append(_bias(reference, series.unit, "", (), confidence))
-    measured = sorted({who for line, _, who in rows if line.serial in {reference.serial for reference in own}})
-    slopes = tuple(_linearity(own, [row for row in rows if row[2] == who], who, confidence) for who in measured)
+    measuring_appraisers = sorted(
+        {
+            appraiser
+            for line, _, appraiser in rows
+            if line.serial in {reference.serial for reference in metric_references}
+        }
+    )
+    slopes = tuple(
+        _linearity(metric_references, [row for row in rows if row[2] == appraiser], appraiser, confidence)
+        for appraiser in measuring_appraisers
+    )
     return AgainstReferences(tuple(biases), slopes, tuple(stabilities))
 
 
@@ -212,18 +224,21 @@ def _bias(reference: ReferenceValue, unit: str, who: str, values: Sequence[float
 def _stability(
     reference: ReferenceValue, who: str, lines: Sequence[RunLine], values: Sequence[float], confidence: float
 ) -> BiasStability:
-    bare = BiasStability(reference.serial, who)
-    wrong = clock_notes(lines)
-    if wrong:
-        return replace(bare, why=f"no drift can be estimated: {wrong[0]}")
+    without_estimate = BiasStability(reference.serial, who)
+    clock_faults = clock_notes(lines)
+    if clock_faults:
+        return replace(without_estimate, why=f"no drift can be estimated: {clock_faults[0]}")
     days = [(line.started_at - lines[0].started_at) / timedelta(days=1) for line in lines]
     try:
         over_time = stability(days, values, reference.value)
     except NumericsError as error:
-        return replace(bare, why=error.reason)
+        return replace(without_estimate, why=error.reason)
     signal = over_time.chart.signals[0].rule if over_time.chart.signals and over_time.in_control is False else ""
     return replace(
-        bare, drift_per_day=over_time.drift.estimate(confidence), in_control=over_time.in_control, signal=str(signal)
+        without_estimate,
+        drift_per_day=over_time.drift.estimate(confidence),
+        in_control=over_time.in_control,
+        signal=str(signal),
     )
 
 
@@ -235,9 +250,11 @@ def _linearity(
         reference: [value for line, value, _ in rows if line.serial == reference.serial] for reference in references
     }
     pairs = [(true.value, value) for true, values in readings.items() for value in values]
-    known = [(len(values), true.value, true.uncertainty) for true, values in readings.items() if values]
+    reference_uncertainties = [
+        (len(values), true.value, true.uncertainty) for true, values in readings.items() if values
+    ]
     try:
-        fitted = linearity([true for true, _ in pairs], [value for _, value in pairs], known=known)
+        fitted = linearity([true for true, _ in pairs], [value for _, value in pairs], known=reference_uncertainties)
     except NumericsError as error:
         return BiasLinearity(who, why=f"{error.reason}; {error.remedy}" if error.remedy else error.reason)
     slope, intercept = fitted.rise().estimate(confidence), fitted.intercept.estimate(confidence)

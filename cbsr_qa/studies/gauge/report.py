@@ -84,16 +84,18 @@ def _page(study: GaugeStudy) -> Page:
 
 
 def _banner(study: GaugeStudy) -> Banner:
-    shares = [(metric.anova.components.gauge.percent_study, metric.title) for metric in study.metrics if metric.anova]
-    if not shares:
+    metric_percents = [
+        (metric.anova.components.gauge.percent_study, metric.title) for metric in study.metrics if metric.anova
+    ]
+    if not metric_percents:
         return Banner("plain", _NONE, "No gauge study", "bias alone is shown; what is missing is named below")
-    share, label = max(shares)
-    tone, symbol = ("pass", "✓") if share < _GOOD_PERCENT else ("marginal", "≈")
-    if share > _POOR_PERCENT:
+    worst_percent, label = max(metric_percents)
+    tone, symbol = ("pass", "✓") if worst_percent < _GOOD_PERCENT else ("marginal", "≈")
+    if worst_percent > _POOR_PERCENT:
         tone, symbol = "fail", "✗"
-    worst = f", the worst of {plural(len(shares), 'metric')}" if len(shares) > 1 else ""
-    grade, _, band = _grade(share).partition(" (")
-    reason = f"{_percent(share)} of the study variation in {label}{worst} ({band}"
+    worst_of = f", the worst of {plural(len(metric_percents), 'metric')}" if len(metric_percents) > 1 else ""
+    grade, _, band = _grade(worst_percent).partition(" (")
+    reason = f"{_percent(worst_percent)} of the study variation in {label}{worst_of} ({band}"
     return Banner(tone, symbol, f"The gauge is {grade}", reason)
 
 
@@ -115,12 +117,12 @@ def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
 
 def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
     assert metric.anova is not None
-    gauge, inside = metric.anova.components.gauge, metric.anova.gauge_percent_contribution_interval
+    gauge, interval = metric.anova.components.gauge, metric.anova.gauge_percent_contribution_interval
     yield _SHARE.format(
         contribution=_percent(gauge.percent_contribution),
         confidence=100 * study.confidence,
-        low=_percent(inside.low),
-        high=_percent(inside.high),
+        low=_percent(interval.low),
+        high=_percent(interval.high),
         study=_percent(gauge.percent_study),
         grade=_grade(gauge.percent_study),
     )
@@ -137,8 +139,8 @@ def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
         )
     if metric.anova.categories is not None:
         count = plural(metric.anova.categories, "category", "categories")
-        inside_of = _ends(metric.anova.categories_interval, 2)
-        yield _CATEGORIES.format(count=count, inside=inside_of, least=_LEAST_CATEGORIES)
+        categories_range = _ends(metric.anova.categories_interval, 2)
+        yield _CATEGORIES.format(count=count, inside=categories_range, least=_LEAST_CATEGORIES)
         yield _largest(metric, study.appraiser)
     yield from (f"{capital(note)}." for note in metric.anova.notes)
 
@@ -146,12 +148,12 @@ def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
 def _largest(metric: MetricGauge, appraiser: str) -> str:
     """Describe the largest part of the gauge's variance."""
     assert metric.anova is not None
-    parts = {
+    variance_by_cause = {
         "the scatter of repeated runs": metric.anova.components.repeatability.variance,
         f"differences between {appraiser}s": metric.anova.appraiser_variance,
         f"differences between {appraiser}s that depend on the sensor": metric.anova.interaction_variance or 0.0,
     }
-    name, variance = max(parts.items(), key=lambda part: part[1])
+    name, variance = max(variance_by_cause.items(), key=lambda part: part[1])
     share = _percent(100 * variance / metric.anova.components.gauge.variance)
     return _LARGEST.format(name=name, deviation=_with_unit(sqrt(variance), metric.unit), share=share)
 
@@ -178,22 +180,27 @@ def _components(metric: MetricGauge, confidence: float) -> Table:
     assert metric.anova is not None
     assert metric.average_range is not None
     rows = []
-    for shown, name in _PARTS:
-        part = getattr(metric.anova.components, name)
-        inside = part.variance_interval
+    for label, name in _PARTS:
+        component = getattr(metric.anova.components, name)
+        interval = component.variance_interval
         rows.append(
             (
-                shown,
-                number(part.deviation),
-                _ends(Interval(sqrt(inside.low), sqrt(inside.high), inside.confidence)) if inside else _NONE,
-                _percent(part.percent_contribution),
-                _percent(part.percent_study),
-                _NONE if part.percent_tolerance is None else _percent(part.percent_tolerance),
+                label,
+                number(component.deviation),
+                _ends(Interval(sqrt(interval.low), sqrt(interval.high), interval.confidence)) if interval else _NONE,
+                _percent(component.percent_contribution),
+                _percent(component.percent_study),
+                _NONE if component.percent_tolerance is None else _percent(component.percent_tolerance),
                 number(getattr(metric.average_range.components, name).deviation),
             )
         )
-    of = ("of variance", "of study variation", "of tolerance", "by ranges")
-    columns = ("component", unit_column("standard deviation", metric.unit), f"{100 * confidence:g} % interval", *of)
+    share_columns = ("of variance", "of study variation", "of tolerance", "by ranges")
+    columns = (
+        "component",
+        unit_column("standard deviation", metric.unit),
+        f"{100 * confidence:g} % interval",
+        *share_columns,
+    )
     return text_table("Components of variation.", columns, rows, range(1, 7))
 
 
@@ -217,13 +224,20 @@ def _anova(metric: MetricGauge) -> Table:
 
 
 def _reference_tables(references: AgainstReferences, unit: str, of: GaugeStudy) -> Iterator[Table]:
-    sure, who = f"{100 * of.confidence:g} % interval", of.appraiser
-    columns: tuple[str, ...] = ("sensor", who, unit_column("reference", unit), "runs")
-    columns += (unit_column("bias", unit), sure, "p", "result")
+    interval_column, appraiser = f"{100 * of.confidence:g} % interval", of.appraiser
+    columns: tuple[str, ...] = ("sensor", appraiser, unit_column("reference", unit), "runs")
+    columns += (unit_column("bias", unit), interval_column, "p", "result")
     yield from _table("Bias against reference values", columns, references.bias, _bias, range(2, 7))
-    columns = (who, "slope of the bias", sure, unit_column("references", unit), "bias depends on value", "bias")
+    columns = (
+        appraiser,
+        "slope of the bias",
+        interval_column,
+        unit_column("references", unit),
+        "bias depends on value",
+        "bias",
+    )
     yield from _table("Linearity of the bias", columns, references.linearity, _linearity, range(1, 4))
-    columns = ("sensor", who, unit_column("drift per day", unit), sure, "control chart")
+    columns = ("sensor", appraiser, unit_column("drift per day", unit), interval_column, "control chart")
     yield from _table("Stability over time", columns, references.stability, _stability, range(2, 4))
 
 
@@ -246,11 +260,11 @@ def _table(
 
 def _bias(bias: Bias) -> tuple[str, ...]:
     reference = with_uncertainty(bias.reference, bias.uncertainty)
-    known = (bias.serial, bias.appraiser or _NONE, reference, str(bias.runs))
+    first_cells = (bias.serial, bias.appraiser or _NONE, reference, str(bias.runs))
     if bias.bias is None:
-        return *known, *[_NONE] * 4
+        return *first_cells, *[_NONE] * 4
     return (
-        *known,
+        *first_cells,
         *_format_estimate(bias.bias),
         number(bias.bias.p, 2),
         "not significant" if bias.bias.holds_zero else "biased",

@@ -79,7 +79,7 @@ class GaugeRequest:
     ----------
     runs : selection by serials, a recipe or both.
     metrics : empty for those limited by the recipe.
-    by_location : one study per location instead of one of the mean over all.
+    by_location : True for one study per location, False for one study of the mean over all.
     appraiser : ``"station"`` or ``"operator"``.
     largest_balanced : use the largest balanced part of an incomplete crossing.
     references : true values of golden sensors.
@@ -145,8 +145,8 @@ class StudyTable(Table):
         if self.recipe is None and self.serials is None:
             yield Problem(("study",), "has neither recipe nor serials; give one of them, or both")
         if not 50 < self.confidence_percent < 100:
-            what = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
-            yield Problem(("study", "confidence_percent"), what)
+            problem = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
+            yield Problem(("study", "confidence_percent"), problem)
         if self.since and self.until and self.since > self.until:
             yield Problem(("study", "since"), f"is {self.since}, after until = {self.until}")
         for key in ("serials", "stations", "operators"):
@@ -173,8 +173,8 @@ class MetricTable(Table):
             yield Problem((*where, "unit"), f"is missing: {' and '.join(numbers)} of {self.name} must have one")
         if (self.lower is None) != (self.upper is None):
             other = "upper" if self.upper is None else "lower"
-            what = f"has no {other}; a tolerance is from lower to upper, or give its width as tolerance"
-            yield Problem((*where, numbers[0]), what)
+            problem = f"has no {other}; a tolerance is from lower to upper, or give its width as tolerance"
+            yield Problem((*where, numbers[0]), problem)
         if self.tolerance is not None and len(numbers) > 1:
             yield Problem((*where, "tolerance"), "is given beside lower or upper; give the one or the others")
         if self.lower is not None and self.upper is not None and self.lower >= self.upper:
@@ -206,21 +206,21 @@ class StudyFile(FileModel[GaugeRequest]):
         yield from self._reference_problems()
 
     def _reference_problems(self) -> Iterator[Problem]:
-        serials, seen = self.study.serials, set()
+        serials, seen_pairs = self.study.serials, set()
         names = [metric.name for metric in self.metrics or ()]
         for index, reference in enumerate(self.reference or ()):
-            where = ("reference", index)
+            key = ("reference", index)
             if serials is not None and reference.serial not in serials:
-                what = f"is {reference.serial!r}, which is not in study.serials: {', '.join(serials)}"
-                yield Problem((*where, "serial"), what)
+                problem = f"is {reference.serial!r}, which is not in study.serials: {', '.join(serials)}"
+                yield Problem((*key, "serial"), problem)
             if names and reference.metric not in names:
-                what = f"is {reference.metric!r}, which is not among the metrics: {', '.join(names)}"
-                yield Problem((*where, "metric"), what)
-            if (reference.serial, reference.metric) in seen:
+                problem = f"is {reference.metric!r}, which is not among the metrics: {', '.join(names)}"
+                yield Problem((*key, "metric"), problem)
+            if (reference.serial, reference.metric) in seen_pairs:
                 yield Problem(
-                    (*where, "serial"), f"is {reference.serial!r}, which has a value of {reference.metric} already"
+                    (*key, "serial"), f"is {reference.serial!r}, which has a value of {reference.metric} already"
                 )
-            seen.add((reference.serial, reference.metric))
+            seen_pairs.add((reference.serial, reference.metric))
 
     def to_domain(self) -> GaugeRequest:
         """Return the request, with per cent as a fraction."""

@@ -1,6 +1,6 @@
 """Gauge R&R from stored runs: sensors are the parts, stations or operators appraise, repeated runs are trials.
 
-Missing runs are refused with what is missing.
+A study with missing runs is refused, and the refusal names them.
 """
 
 from collections import Counter
@@ -47,24 +47,24 @@ def choose_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
             f"{request.locate('study')}these runs are of {several_recipes(recipes)}",
             remedy="choose one by its name: recipe in the study, or --recipe",
         )
-    known = tuple(run for run in runs if appraiser_of(run, request.appraiser))
-    if not known:
+    studied_runs = tuple(run for run in runs if appraiser_of(run, request.appraiser))
+    if not studied_runs:
         raise RefusedError(f"none of these runs names its {request.appraiser}", remedy="study stations instead")
-    notes = clock_notes(known)
-    if len(known) < len(runs):
-        unknown = plural(len(runs) - len(known), "run")
+    notes = clock_notes(studied_runs)
+    if len(studied_runs) < len(runs):
+        unknown = plural(len(runs) - len(studied_runs), "run")
         notes += (f"left out: {unknown} without the name of the {request.appraiser}",)
-    return table, known, notes
+    return table, studied_runs, notes
 
 
 def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLine]) -> None:
     """Refuse names without a run, each with its line in the study's file; unknown names come first."""
-    wanted, absent = request.runs, list(absent_names(request.runs, runs))
+    selection, absent = request.runs, list(absent_names(request.runs, runs))
     if runs and not absent:
         return
-    check_names(store, wanted, lambda field: request.locate("study", field))
-    of_names = store.fleet.read_lines(RunSelection(serials=wanted.serials, recipe=wanted.recipe))
-    remedy = f"choose other days, other names or another recipe{_days(of_names)}"
+    check_names(store, selection, lambda field: request.locate("study", field))
+    runs_of_names = store.fleet.read_lines(RunSelection(serials=selection.serials, recipe=selection.recipe))
+    remedy = f"choose other days, other names or another recipe{_days(runs_of_names)}"
     # Without any matching run every name is absent, so that names are not the cause.
     if runs:
         refusals = [
@@ -88,7 +88,7 @@ class MetricGauge:
     Parameters
     ----------
     tolerance, tolerance_of : the width that the gauge is compared with, of the ``"study"`` or the ``"recipe"``.
-    runs : with a value.
+    runs : number of runs with a value.
     missing : missing and surplus runs of a balanced crossing, in words.
     why : reason for a missing study; ``sensors`` to ``average_range`` are then None.
     crossing : the studied values, for the figure.
@@ -127,7 +127,7 @@ class GaugeStudy:
 
     Parameters
     ----------
-    study : its file; None for options.
+    study : file of the study; None for options.
     since, until : first and last day of the runs, UTC, as requested.
     """
 
@@ -159,9 +159,9 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     request.check()
     with open_store(database_url(database), create=False) as store:
         table, lines, notes = choose_runs(store, request)
-        wanted = choose_metrics(table, request, lines)
+        chosen_metrics = choose_metrics(table, request, lines)
         notes += likeness_notes(store, lines)
-    metrics = tuple(_metric(toleranced, request) for toleranced in wanted)
+    metrics = tuple(_metric(toleranced, request) for toleranced in chosen_metrics)
     _check_any(metrics, largest_balanced=request.largest_balanced)
     return fill_from_object(
         GaugeStudy,
@@ -185,8 +185,8 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
     sensors = [line.serial for line in series.lines]
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
     why = _never_repeated(sensors, appraisers, request.appraiser)
-    missing = () if why else missing_runs(sensors, appraisers, request.appraiser)
-    bare = fill_from_object(
+    missing_cells = () if why else missing_runs(sensors, appraisers, request.appraiser)
+    unstudied = fill_from_object(
         MetricGauge,
         key,
         unit=series.unit,
@@ -195,27 +195,27 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
         tolerance=wanted.tolerance,
         tolerance_of=wanted.of or None,
         runs=len(series.values),
-        missing=missing,
+        missing=missing_cells,
         notes=series.notes,
         references=against_references(series, appraisers, request.references, request.confidence),
         why=why,
     )
     if why:
-        return bare
-    kept: Sequence[int] = range(len(series.values))
-    if missing and request.largest_balanced:
-        part = largest_balanced(sensors, appraisers)
-        if not part.kept:
+        return unstudied
+    indices: Sequence[int] = range(len(series.values))
+    if missing_cells and request.largest_balanced:
+        balanced = largest_balanced(sensors, appraisers)
+        if not balanced.kept:
             crossed = f"twice each {on(request.appraiser)} the same two {request.appraiser}s"
-            return replace(bare, why=f"no two sensors were run {crossed}: nothing is crossed")
-        size = part.words(appraiser=f"{request.appraiser}s")
-        taken = f"this is the largest balanced part of {len(series.values)} runs: {size}"
-        bare, kept = replace(bare, notes=(*series.notes, taken)), part.kept
-    rows = [(sensors[k], appraisers[k], series.values[k]) for k in kept]
+            return replace(unstudied, why=f"no two sensors were run {crossed}: nothing is crossed")
+        size = balanced.words(appraiser=f"{request.appraiser}s")
+        balance_note = f"this is the largest balanced part of {len(series.values)} runs: {size}"
+        unstudied, indices = replace(unstudied, notes=(*series.notes, balance_note)), balanced.kept
+    rows = [(sensors[k], appraisers[k], series.values[k]) for k in indices]
     try:
-        return _study_metric(bare, rows, request)
+        return _study_metric(unstudied, rows, request)
     except NumericsError as error:
-        return replace(bare, why=error.reason)
+        return replace(unstudied, why=error.reason)
 
 
 def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
@@ -223,8 +223,8 @@ def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser
     cells = Counter(zip(sensors, appraisers, strict=True))
     if not cells or max(cells.values()) > 1 or min(len(set(sensors)), len(set(appraisers))) < 2:
         return ""
-    where = "on a station" if appraiser == "station" else f"by an {appraiser}"
-    return f"every sensor was run once {where}: repeatability needs at least two runs of each"
+    place = "on a station" if appraiser == "station" else f"by an {appraiser}"
+    return f"every sensor was run once {place}: repeatability needs at least two runs of each"
 
 
 def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], request: GaugeRequest) -> MetricGauge:
@@ -250,15 +250,15 @@ def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], req
 def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> None:
     if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
-    first = metrics[0]
-    reason = f"{first.title}: {first.why}"
-    reason += f"; uneven: {list_names(first.missing)}" if first.missing else ""
-    reason += "".join(f"; {note}" for note in first.notes)
+    first_metric = metrics[0]
+    reason = f"{first_metric.title}: {first_metric.why}"
+    reason += f"; uneven: {list_names(first_metric.missing)}" if first_metric.missing else ""
+    reason += "".join(f"; {note}" for note in first_metric.notes)
     reason += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
-    uneven = any(metric.missing for metric in metrics) and not largest_balanced
+    is_uneven = any(metric.missing for metric in metrics) and not largest_balanced
     raise RefusedError(
         f"no gauge study can be made of these runs: {reason}",
         remedy="add the missing runs, or study the largest balanced part with --largest-balanced"
-        if uneven
+        if is_uneven
         else "a study needs two sensors, on two stations (or by two operators), twice each, that differ",
     )

@@ -19,7 +19,7 @@ import numpy as np
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.filling import fill_from_object
 
-#: Relative accuracy lost to conditioning may reach this many times condition number times machine precision.
+#: Largest relative error by conditioning, in units of condition number times machine precision.
 CONDITIONING_ROOM: Final = 100.0
 #: Time limit of a case; the longest takes a few seconds.
 LONGEST_S: Final = 120.0
@@ -42,7 +42,7 @@ class Answer:
     ----------
     error : relative to truth, not negative; relative unless ``unit`` states otherwise.
     condition : condition number of the solved system; None without one.
-    unit : of error and bound; ``"1"`` for relative ones.
+    unit : unit of error and bound; ``"1"`` for relative ones.
     """
 
     error: float
@@ -104,9 +104,9 @@ class CaseResult:
     Parameters
     ----------
     outcome : within its bound, refused as it should be, or broken.
-    error, bound, unit, condition, note : of the answer; None if it was refused, failed, or is not finite.
-    reason : of the refusal or failure; None if within its bound.
-    remedy : what the user can do, or None.
+    error, bound, unit, condition, note : attributes of the answer; None if it was refused, failed, or is not finite.
+    reason : reason for the refusal or failure; None if within its bound.
+    remedy : action for the user, or None.
     """
 
     name: str
@@ -152,18 +152,18 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
             outcome = Ending.REFUSED
     except Exception as error:  # noqa: BLE001  # any error: a broken case is shown, and does not end the table
         reason = f"{type(error).__name__}: {error}"
-    given = answer or Answer(math.nan, math.nan)
+    shown_answer = answer or Answer(math.nan, math.nan)
     return fill_from_object(
         CaseResult,
         case,
         outcome=outcome,
-        error=_finite(given.error),
-        bound=_finite(given.bound),
-        unit=given.unit if answer else None,
-        condition=_finite(given.condition),
+        error=_finite(shown_answer.error),
+        bound=_finite(shown_answer.bound),
+        unit=shown_answer.unit if answer else None,
+        condition=_finite(shown_answer.condition),
         reason=reason or None,
         remedy=remedy or None,
-        note=given.note or None,
+        note=shown_answer.note or None,
         seconds=round(perf_counter() - started_s, 3),
     )
 
@@ -178,13 +178,13 @@ def _within(seconds: float) -> Iterator[None]:
     def stop(_signal: int, _frame: FrameType | None) -> None:
         raise TimeoutError(f"no end within {seconds:g} s")
 
-    before = signal.signal(signal.SIGALRM, stop)
+    previous_handler = signal.signal(signal.SIGALRM, stop)
     signal.setitimer(signal.ITIMER_REAL, seconds)
     try:
         yield
     finally:
         signal.setitimer(signal.ITIMER_REAL, 0)
-        signal.signal(signal.SIGALRM, before)
+        signal.signal(signal.SIGALRM, previous_handler)
 
 
 def _why_broken(case: HardCase, answer: Answer | None) -> str:
@@ -194,8 +194,8 @@ def _why_broken(case: HardCase, answer: Answer | None) -> str:
     assert answer is not None  # of a case with an answer
     if not (math.isfinite(answer.error) and math.isfinite(answer.bound)):
         return "its error or its bound is no finite number"
-    within = 0 <= answer.error <= answer.bound
-    return "" if within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
+    is_within = 0 <= answer.error <= answer.bound
+    return "" if is_within else f"an error of {answer.error:.3g} where {answer.bound:.3g} is allowed"
 
 
 def _finite(value: float | None) -> float | None:

@@ -15,9 +15,9 @@ from numpy.typing import NDArray
 from cbsr_qa.calibration.sheet.response_map import ResponseMap
 from cbsr_qa.domain.numbers import Array
 
-#: Of mpmath numbers.
+#: Arrays of mpmath numbers.
 _Exact = NDArray[np.object_]
-#: In extended precision, 64 bits of mantissa.
+#: Arrays of extended precision, 64 bits of mantissa.
 Long = NDArray[np.longdouble]
 
 #: Digits of truth.
@@ -70,15 +70,17 @@ def circle_overlap(corners: Array, centre: Sequence[float], radius: float) -> An
 
 def _under_side(start: Any, end: Any, radius: Any) -> Any:
     """Signed area between the origin and a directed side, as far as inside a circle about the origin."""
-    along = end - start
-    length2 = abs(along) ** 2
-    middle = -mp.re(start * mp.conj(along)) / length2
-    under = radius**2 - mp.im(mp.conj(start) * along) ** 2 / length2
-    half = mp.sqrt(under / length2) if under > 0 else mp.mpf(0)
-    first, last = (min(max(share, mp.mpf(0)), mp.mpf(1)) for share in (middle - half, middle + half))
-    enters, leaves = start + first * along, start + last * along
-    turned = _angle(start, enters) if first > 0 else mp.mpf(0)
-    turned += _angle(leaves, end) if last < 1 else mp.mpf(0)
+    side = end - start
+    length2 = abs(side) ** 2
+    middle = -mp.re(start * mp.conj(side)) / length2
+    half_chord2 = radius**2 - mp.im(mp.conj(start) * side) ** 2 / length2
+    half_share = mp.sqrt(half_chord2 / length2) if half_chord2 > 0 else mp.mpf(0)
+    first_share, last_share = (
+        min(max(share, mp.mpf(0)), mp.mpf(1)) for share in (middle - half_share, middle + half_share)
+    )
+    enters, leaves = start + first_share * side, start + last_share * side
+    turned = _angle(start, enters) if first_share > 0 else mp.mpf(0)
+    turned += _angle(leaves, end) if last_share < 1 else mp.mpf(0)
     return (radius**2 * turned + mp.im(mp.conj(enters) * leaves)) / 2
 
 
@@ -99,34 +101,38 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
     scaled = jacobian.astype(np.longdouble) / root
     with mp.workdps(DIGITS):
         system = exact_gram(scaled)
-        for row, own in enumerate(variance.tolist()):
-            system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(own)
+        for row, row_variance in enumerate(variance.tolist()):
+            system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(row_variance)
         coefficients = mp.cholesky_solve(mp.matrix(system), mp.matrix(readings.tolist()))
         split = [_split_value(value) for value in coefficients]
-    parts = np.array(split, dtype=np.longdouble)  # (m, 3), each a double of the remainder of the previous ones
-    image: Array = ((scaled.T @ parts).sum(axis=1) / root).astype(np.float64)
+    coefficient_parts = np.array(
+        split, dtype=np.longdouble
+    )  # (m, 3), each a double of the remainder of the previous ones
+    image: Array = ((scaled.T @ coefficient_parts).sum(axis=1) / root).astype(np.float64)
     return image
 
 
 def exact_gram(rows: Long) -> list[list[Any]]:
     """A Aᵀ of rows (m, e), entries in fifty digits: exact except for parts 105 bits below a row's largest."""
     exponents = np.frexp(np.abs(rows).max(axis=1))[1]
-    slices, rest = [], np.ldexp(rows, -exponents[:, None])
+    slices, remainder = [], np.ldexp(rows, -exponents[:, None])
     for number in range(1, _SLICES + 1):
-        part = np.round(np.ldexp(rest, number * _BITS))
-        rest = rest - np.ldexp(part, -number * _BITS)
-        slices.append(part.astype(np.float64))
-    whole = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
+        piece = np.round(np.ldexp(remainder, number * _BITS))
+        remainder = remainder - np.ldexp(piece, -number * _BITS)
+        slices.append(piece.astype(np.float64))
+    scaled_products = [0] * (len(rows) * len(rows))  # A Aᵀ without its rows' exponents, in units of 2^−21(slices + 1)
     for total in range(_SLICES):  # slices i and j weigh 2^−21(i + j + 2)
         summed = np.zeros((len(rows), len(rows)), dtype=np.int64)
-        for first in range(0, rows.shape[1], _SUMMED):
-            here = slice(first, first + _SUMMED)
+        for begin in range(0, rows.shape[1], _SUMMED):
+            here = slice(begin, begin + _SUMMED)
             for i in range(total + 1):
                 summed += (slices[i][:, here] @ slices[total - i][:, here].T).astype(np.int64)
         shift = (_SLICES - 1 - total) * _BITS
-        whole = [above + (here << shift) for above, here in zip(whole, summed.ravel().tolist(), strict=True)]
+        scaled_products = [
+            higher + (here << shift) for higher, here in zip(scaled_products, summed.ravel().tolist(), strict=True)
+        ]
     powers = (exponents[:, None] + exponents - (_SLICES + 1) * _BITS).ravel().tolist()
-    flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(whole, powers, strict=True)]
+    flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(scaled_products, powers, strict=True)]
     return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
 
 
@@ -162,9 +168,9 @@ def map_condition(learned: ResponseMap, places_mm: Array, variance: Array) -> fl
     conditions = []
     for process in learned.members:
         with mp.workdps(DIGITS):
-            alike = _correlations(places_mm, places_mm, process.smooth, process.length_mm).astype(np.float64)
+            correlations = _correlations(places_mm, places_mm, process.smooth, process.length_mm).astype(np.float64)
         noise = variance + process.scatter**2 + _LEAST_VARIANCE
-        conditions.append(float(np.linalg.cond(process.deviation**2 * alike + np.diag(noise))))
+        conditions.append(float(np.linalg.cond(process.deviation**2 * correlations + np.diag(noise))))
     return max(conditions)
 
 
@@ -178,16 +184,20 @@ def exact_map(
     """
     with mp.workdps(DIGITS):
         kinds = {(process.smooth, process.length_mm) for process in learned.members}
-        alike = {kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds}
+        correlations_by_kind = {
+            kind: _correlations(places_mm, np.vstack([places_mm, wanted_mm]), *kind) for kind in kinds
+        }
         scores, means, variances = [], [], []
         for process in learned.members:
             deviation, scatter = mp.mpf(process.deviation), mp.mpf(process.scatter)
             noise = _exact(variance) + scatter**2 + _LEAST_VARIANCE
-            score, mean, own = _process(alike[process.smooth, process.length_mm], deviation, noise, _exact(values))
-            usual = mp.log1p((deviation / _USUAL_DEVIATION) ** 2) + scatter / _USUAL_SCATTER
-            scores.append(score + mp.log(deviation) - usual)
+            score, mean, variance_of_process = _process(
+                correlations_by_kind[process.smooth, process.length_mm], deviation, noise, _exact(values)
+            )
+            prior_penalty = mp.log1p((deviation / _USUAL_DEVIATION) ** 2) + scatter / _USUAL_SCATTER
+            scores.append(score + mp.log(deviation) - prior_penalty)
             means.append(mean)
-            variances.append(own)
+            variances.append(variance_of_process)
         weights = np.array([mp.exp(score - max(scores)) for score in scores], dtype=object)
         weights /= weights.sum()
         mean = weights @ np.array(means)
@@ -199,22 +209,22 @@ def _process(alike: _Exact, deviation: Any, noise: _Exact, y: _Exact) -> tuple[A
     count, square = len(y), deviation**2
     root = np.array(mp.cholesky(mp.matrix(square * alike[:, :count] + np.diag(noise))).tolist(), dtype=object)
     solved = _forward(root, np.column_stack([np.full(count, mp.one), y, square * alike[:, count:]]))
-    ones, seen, towards = solved[:, 0], solved[:, 1], solved[:, 2:]
-    information = ones @ ones
-    level = ones @ seen / information
-    left = seen - level * ones
+    whitened_ones, whitened_values, whitened_covariances = solved[:, 0], solved[:, 1], solved[:, 2:]
+    information = whitened_ones @ whitened_ones
+    level = whitened_ones @ whitened_values / information
+    residuals = whitened_values - level * whitened_ones
     logarithms = mp.fsum(map(mp.log, root.diagonal())) + mp.log(information) / 2
-    free = 1 - ones @ towards
-    variances = square - (towards**2).sum(axis=0) + free**2 / information
-    return -(left @ left) / 2 - logarithms, level + left @ towards, variances
+    free = 1 - whitened_ones @ whitened_covariances
+    variances = square - (whitened_covariances**2).sum(axis=0) + free**2 / information
+    return -(residuals @ residuals) / 2 - logarithms, level + residuals @ whitened_covariances, variances
 
 
 def _correlations(places_mm: Array, others_mm: Array, smooth: bool, length_mm: float) -> _Exact:
     """Gaussian or Matérn 5/2 correlations of places (n, o)."""
     steps = _exact(places_mm)[:, None] - _exact(others_mm)
-    apart = np.frompyfunc(mp.hypot, 2, 1)(steps[..., 0], steps[..., 1]) / mp.mpf(length_mm)
-    exponential, far = np.frompyfunc(mp.exp, 1, 1), mp.sqrt(5) * apart
-    correlations: _Exact = exponential(-(apart**2) / 2) if smooth else (1 + far + far**2 / 3) * exponential(-far)
+    distance = np.frompyfunc(mp.hypot, 2, 1)(steps[..., 0], steps[..., 1]) / mp.mpf(length_mm)
+    exponential, far = np.frompyfunc(mp.exp, 1, 1), mp.sqrt(5) * distance
+    correlations: _Exact = exponential(-(distance**2) / 2) if smooth else (1 + far + far**2 / 3) * exponential(-far)
     return correlations
 
 
@@ -235,13 +245,13 @@ def _exact(values: Array) -> _Exact:
 def mean_exponential(time_s: float, tau_s: float, ramp_s: float, frame_s: float) -> tuple[Any, Any]:
     """Value, and slope by log τ, of e^(−t/τ) after a ramp and averaged over a frame."""
     with mp.workdps(DIGITS):
-        ramp, frame, at = (mp.mpf(float(seconds)) for seconds in (ramp_s, frame_s, time_s))
+        ramp, frame, exact_time = (mp.mpf(float(seconds)) for seconds in (ramp_s, frame_s, time_s))
 
         def value(log_tau: Any) -> Any:
             tau = mp.exp(log_tau)
             over_ramp = tau / ramp * (1 - mp.exp(-ramp / tau))
             over_frame = tau / frame * (mp.exp(frame / tau / 2) - mp.exp(-frame / tau / 2))
-            return mp.exp(-at / tau) * over_ramp * over_frame
+            return mp.exp(-exact_time / tau) * over_ramp * over_frame
 
         log_tau = mp.log(mp.mpf(tau_s))
         return value(log_tau), mp.diff(value, log_tau)

@@ -57,9 +57,9 @@ def conditions_svg(results: Sequence[CaseResult]) -> Canvas:
     largest = EPSILON
     for result in results:
         if result.condition is not None and result.error is not None and result.unit == "1":
-            across = result.condition * EPSILON
-            largest = max(largest, across)
-            _dot(axes, across, max(result.error, _EXACT), result, 3.6)
+            rounding = result.condition * EPSILON
+            largest = max(largest, rounding)
+            _dot(axes, rounding, max(result.error, _EXACT), result, 3.6)
     ends = np.array([EPSILON / 3, 10 * largest])
     axes.plot(ends, ends, color=QUIET, linewidth=0.8)
     axes.plot(ends, CONDITIONING_ROOM * ends, color=INK, linewidth=0.8)

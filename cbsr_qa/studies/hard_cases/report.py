@@ -86,13 +86,13 @@ def _figure(caption: str, cases: Sequence[CaseResult], plot: str) -> Figure:
 
 
 def _area(area: str, cases: Sequence[CaseResult]) -> Iterator[Block]:
-    own = [case for case in cases if case.area == area]
-    answered = [case for case in own if case.unit is not None]
+    area_cases = [case for case in cases if case.area == area]
+    answered = [case for case in area_cases if case.unit is not None]
     if answered:
         yield _figure(_ERRORS, answered, "errors_svg")
     columns = ("case", "error", "bound", "unit", "condition", "outcome")
-    yield text_table(f"{area.capitalize()}: cases", columns, [_row(case) for case in own], (1, 2, 4))
-    for case in own:
+    yield text_table(f"{area.capitalize()}: cases", columns, [_row(case) for case in area_cases], (1, 2, 4))
+    for case in area_cases:
         if case.outcome is not Ending.OK:
             text = _ENDED.format(name=case.name, outcome=_WORDS[case.outcome], reason=case.reason)
             text += _REMEDY.format(remedy=case.remedy) if case.remedy else ""

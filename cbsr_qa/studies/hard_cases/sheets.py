@@ -49,13 +49,13 @@ def prepare_method(name: str, problem: ImagingProblem, options: Mapping[str, Any
 def usual_problem(kind: str = "whole") -> ImagingProblem:
     """The usual sensor on a coarse image; with three electrodes masked, or noise over twelve decades."""
     sensor = usual_sensor()
-    whole = imaging_problem(sensor, image_size_mm=IMAGE_MM)
+    full_problem = imaging_problem(sensor, image_size_mm=IMAGE_MM)
     if kind == "masked":
         return imaging_problem(sensor, used=mask_electrodes(sensor, (2, 7, 12)), image_size_mm=IMAGE_MM)
     if kind == "noisy":
-        decades = np.random.default_rng(20261122).permutation(np.linspace(-6, 6, len(whole.reference)))
+        decades = np.random.default_rng(20261122).permutation(np.linspace(-6, 6, len(full_problem.reference)))
         return imaging_problem(sensor, noise_variance=0.9 * 10**decades, image_size_mm=IMAGE_MM)
-    return whole
+    return full_problem
 
 
 def mask_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[np.bool_]:
@@ -66,7 +66,7 @@ def mask_electrodes(sensor: SensorType, electrodes: tuple[int, ...]) -> NDArray[
     return np.asarray(pattern.usable() & ~drives[:, None] & ~measures, dtype=np.bool_)
 
 
-#: Of mpmath numbers.
+#: Arrays of mpmath numbers.
 _Exact = NDArray[np.object_]
 
 ELECTRODES: Final = 8
@@ -84,18 +84,22 @@ def small_mesh(radii_mm: Array | None = None) -> Mesh:
 def ring_mesh(radii_mm: Array, spokes: int, electrodes: int, edges_each: int) -> Mesh:
     """A disc of rings of triangles, as many on each ring, with electrodes of some edges each on its rim."""
     angle = 2 * np.pi * np.arange(spokes) / spokes
-    around = np.stack([np.outer(radii_mm, np.cos(angle)), np.outer(radii_mm, np.sin(angle))], axis=-1).reshape(-1, 2)
-    here = np.arange(spokes)
-    there = (here + 1) % spokes
-    elements = [np.column_stack([np.zeros(spokes, dtype=np.int64), 1 + here, 1 + there])]
+    ring_nodes_mm = np.stack([np.outer(radii_mm, np.cos(angle)), np.outer(radii_mm, np.sin(angle))], axis=-1).reshape(
+        -1, 2
+    )
+    spoke = np.arange(spokes)
+    next_spoke = (spoke + 1) % spokes
+    elements = [np.column_stack([np.zeros(spokes, dtype=np.int64), 1 + spoke, 1 + next_spoke])]
     for ring in range(1, len(radii_mm)):
         inner, outer = 1 + (ring - 1) * spokes, 1 + ring * spokes
-        elements.append(np.column_stack([inner + here, outer + here, outer + there]))
-        elements.append(np.column_stack([inner + here, outer + there, inner + there]))
+        elements.append(np.column_stack([inner + spoke, outer + spoke, outer + next_spoke]))
+        elements.append(np.column_stack([inner + spoke, outer + next_spoke, inner + next_spoke]))
     rim = 1 + (len(radii_mm) - 1) * spokes
-    first = spokes // electrodes * np.arange(electrodes)
-    edges = tuple(rim + np.column_stack([k + np.arange(edges_each), k + np.arange(edges_each) + 1]) for k in first)
-    return Mesh(np.vstack([[0.0, 0.0], around]), np.vstack(elements).astype(np.int64), edges)
+    first_spokes = spokes // electrodes * np.arange(electrodes)
+    edges = tuple(
+        rim + np.column_stack([k + np.arange(edges_each), k + np.arange(edges_each) + 1]) for k in first_spokes
+    )
+    return Mesh(np.vstack([[0.0, 0.0], ring_nodes_mm]), np.vstack(elements).astype(np.int64), edges)
 
 
 @lru_cache(maxsize=1)
@@ -126,8 +130,8 @@ def scatter_conductance(decades: float, seed: int = 20261121) -> Array:
 
 def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> float:
     """‖V − V*‖/‖V*‖ over the readings that touch no driven electrode."""
-    used = pattern.usable()
-    return apart(computed[used], exact[used])
+    is_usable = pattern.usable()
+    return apart(computed[is_usable], exact[is_usable])
 
 
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:
@@ -136,11 +140,11 @@ def reading_condition(model: ForwardModel, before: Array | None = None) -> float
     ‖Σ_e |∂V/∂γ_e| γ_e + Σ_l |∂V/∂z_l| z_l‖ / ‖V‖ (Skeel 1979): the worst effect of one rounding of the data. If
     conductances are given as those ``before`` and a change, both are data.
     """
-    used = model.pattern.usable()
-    given = model.conductance if before is None else before + np.abs(model.conductance - before)
-    felt = np.abs(model.jacobian()[used]) @ given
-    felt += np.abs(model.contact_jacobian()[used]) @ model.contact_impedance
-    return float(np.linalg.norm(felt) / np.linalg.norm(model.voltages()[used]))
+    is_usable = model.pattern.usable()
+    conductance_scale = model.conductance if before is None else before + np.abs(model.conductance - before)
+    absolute_terms = np.abs(model.jacobian()[is_usable]) @ conductance_scale
+    absolute_terms += np.abs(model.contact_jacobian()[is_usable]) @ model.contact_impedance
+    return float(np.linalg.norm(absolute_terms) / np.linalg.norm(model.voltages()[is_usable]))
 
 
 def exact_readings(
@@ -150,7 +154,7 @@ def exact_readings(
 
     Parameters
     ----------
-    mesh : of some hundred nodes at most, which take a second.
+    mesh : mesh with a few hundred nodes at most; these take a second.
     conductance : (e,) [S]. contact_impedance : (electrodes,) [Ω·mm].
     """
     with mp.workdps(DIGITS):
@@ -170,9 +174,9 @@ def exact_derivatives(
     with mp.workdps(DIGITS):
         potentials = _potentials(mesh, pattern, conductance, contact_impedance)
         changes = []
-        for unknowns, own in _pieces(mesh, conductance, contact_impedance):
+        for unknowns, piece in _pieces(mesh, conductance, contact_impedance):
             drops = potentials[:, unknowns] - potentials[:, unknowns[-1:]]  # small compared with the potentials
-            changes.append((unknowns, (drops @ own @ drops.T).astype(np.float64)))
+            changes.append((unknowns, (drops @ piece @ drops.T).astype(np.float64)))
     count, elements = len(mesh.nodes_mm), len(mesh.elements)
     by_contact = np.zeros((len(potentials), len(potentials), len(mesh.electrode_edges)))
     for unknowns, change in changes[elements:]:
@@ -186,8 +190,8 @@ def _potentials(
     """Potentials (drives, nodes, then electrodes) of a unit current through each pair; the last electrode has 0."""
     count, driven = len(mesh.nodes_mm), pattern.drive_currents()
     system = np.full((count + len(driven), count + len(driven)), mp.zero, dtype=object)
-    for unknowns, own in _pieces(mesh, conductance, contact_impedance):
-        system[np.ix_(unknowns, unknowns)] += own
+    for unknowns, piece in _pieces(mesh, conductance, contact_impedance):
+        system[np.ix_(unknowns, unknowns)] += piece
     potentials = np.full((count + len(driven), driven.shape[1]), mp.zero, dtype=object)
     potentials[count:] += driven
     _solve(system[:-1, :-1], potentials[:-1])

@@ -25,18 +25,18 @@ def choose_cases(areas: Sequence[str] = (), names: Sequence[str] = ()) -> tuple[
     for area in areas:
         if area not in AREAS:
             raise ConfigError(f"there is no area {area!r}", remedy=f"there are: {', '.join(AREAS)}")
-    known = [case.name for case in CASES]
+    known_names = [case.name for case in CASES]
     for name in names:
-        if name not in known:
-            raise ConfigError(f"there is no case {name!r}", remedy=_nearest(name, known))
+        if name not in known_names:
+            raise ConfigError(f"there is no case {name!r}", remedy=_nearest(name, known_names))
     return tuple(case for case in CASES if case.area in areas or case.name in names or not (areas or names))
 
 
 def _nearest(name: str, known: Sequence[str]) -> str:
     """Suggest names of cases that contain the same word or look alike."""
-    near = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
-    if near:
-        return f"did you mean one of: {', '.join(near[:_FEW])}"
+    similar = [other for other in known if name in other] or get_close_matches(name, known, n=_FEW, cutoff=0.5)
+    if similar:
+        return f"did you mean one of: {', '.join(similar[:_FEW])}"
     return f"cbsr-qa stability --area {AREAS[0]!r} lists the cases of an area; areas are: {', '.join(AREAS)}"
 
 

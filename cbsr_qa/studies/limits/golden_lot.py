@@ -41,12 +41,12 @@ class LotChoice:
 
     def words(self) -> str:
         """Describe the choice for a reader."""
-        wanted = self.runs
-        parts = [f"batch {wanted.batch}"] if wanted.batch is not None else []
-        parts += [f"recipe {wanted.recipe}"] if wanted.recipe is not None else []
-        parts += [f"since {wanted.since}"] if wanted.since else []
-        parts += [f"until {wanted.until}"] if wanted.until else []
-        return ", ".join([*parts, *(["named sensors"] if wanted.serials else [])])
+        selection = self.runs
+        phrases = [f"batch {selection.batch}"] if selection.batch is not None else []
+        phrases += [f"recipe {selection.recipe}"] if selection.recipe is not None else []
+        phrases += [f"since {selection.since}"] if selection.since else []
+        phrases += [f"until {selection.until}"] if selection.until else []
+        return ", ".join([*phrases, *(["named sensors"] if selection.serials else [])])
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +66,7 @@ class Lot:
     sensors : serial → its runs, oldest first; sensors by serial.
     software : (distribution, version) of the first run's analysis.
     not_good, mixed : accepted runs that are not good, or differ; in words.
-    analysed : the same runs with their analyses.
+    analysed : sensor → its runs with their analyses.
     """
 
     chosen: str
@@ -91,11 +91,11 @@ class Lot:
 
 def _data_rows(run: LotRun) -> Iterable[list[Any]]:
     for m in run.analysis.measurements:
-        where = [m.phase, m.location, m.trial, m.load, m.qualifier]
-        yield [run.line.serial, run.line.run, m.name, m.unit, *where, m.value, m.uncertainty, str(m.bound)]
+        key = [m.phase, m.location, m.trial, m.load, m.qualifier]
+        yield [run.line.serial, run.line.run, m.name, m.unit, *key, m.value, m.uncertainty, str(m.bound)]
 
 
-#: More than the size of any list of serial numbers.
+#: Size above that of any list of serial numbers [bytes].
 _LARGEST_BYTES: Final = 2**24
 
 
@@ -134,42 +134,44 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
             remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
         )
     check_names(store, RunSelection(serials=(*choice.runs.serials, *choice.without)))
-    chosen = store.fleet.read_lines(choice.runs)
-    if not chosen:
+    selected_lines = store.fleet.read_lines(choice.runs)
+    if not selected_lines:
         check_names(store, choice.runs)
         raise RefusedError(
             f"no stored run fits the golden lot ({choice.words()})",
             remedy="no stored run matches all of these choices together",
         )
-    kept = [run for run in chosen if run.serial not in choice.without]
-    for line in kept:
+    chosen_lines = [run for run in selected_lines if run.serial not in choice.without]
+    for line in chosen_lines:
         if line.altered:
             raise StoreError(line.altered, remedy="restore the database from a copy, or leave out the sensor")
-    not_good = _refuse_bad(kept, choice)
-    runs = [LotRun(run, store.analyses.load(run.run)[0]) for run in kept if _has_result(run)]
+    not_good = _refuse_bad(chosen_lines, choice)
+    runs = [LotRun(run, store.analyses.load(run.run)[0]) for run in chosen_lines if _has_result(run)]
     if not runs:
         raise RefusedError("no run of the lot has measurements", remedy="choose runs that were finished and analysed")
-    mixed = _describe_mixture(store, runs, choice)
-    analysed: dict[str, tuple[LotRun, ...]] = {}
+    mixture_note = _describe_mixture(store, runs, choice)
+    runs_by_serial: dict[str, tuple[LotRun, ...]] = {}
     for run in sorted(runs, key=lambda lot_run: lot_run.line.serial):
-        analysed[run.line.serial] = (*analysed.get(run.line.serial, ()), run)
+        runs_by_serial[run.line.serial] = (*runs_by_serial.get(run.line.serial, ()), run)
     return Lot(
         chosen=choice.words(),
-        sensors={serial: tuple(run.line.run for run in of) for serial, of in analysed.items()},
+        sensors={
+            serial: tuple(run.line.run for run in sensor_runs) for serial, sensor_runs in runs_by_serial.items()
+        },
         stations=tuple(sorted({run.line.station for run in runs})),
-        software=tuple(next(iter(analysed.values()))[0].analysis.software),
-        left_out=tuple(sorted({run.serial for run in chosen} & set(choice.without))),
+        software=tuple(next(iter(runs_by_serial.values()))[0].analysis.software),
+        left_out=tuple(sorted({run.serial for run in selected_lines} & set(choice.without))),
         not_good=not_good,
-        mixed=mixed,
+        mixed=mixture_note,
         simulated=_describe_simulated(runs),
-        analysed=analysed,
+        analysed=runs_by_serial,
     )
 
 
 def _describe_simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
     """Describe simulated parts, each once: seeds differ from run to run."""
-    words = {what for run in runs for what in run.line.simulated}
-    return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in words}))
+    descriptions = {what for run in runs for what in run.line.simulated}
+    return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in descriptions}))
 
 
 def _has_result(run: RunLine) -> bool:
@@ -177,11 +179,11 @@ def _has_result(run: RunLine) -> bool:
 
 
 def _refuse_bad(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
-    bad = [run for run in runs if not (_has_result(run) and run.verdict in _GOOD)]
-    fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad)
-    if bad and not choice.include_failed:
+    bad_runs = [run for run in runs if not (_has_result(run) and run.verdict in _GOOD)]
+    fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad_runs)
+    if bad_runs and not choice.include_failed:
         raise RefusedError(
-            f"{len(bad)} of the {len(runs)} runs of the lot are not good: {list_names(fates)}",
+            f"{len(bad_runs)} of the {len(runs)} runs of the lot are not good: {list_names(fates)}",
             remedy="leave those sensors out by --without, choose other days, or take them in by --include-failed",
         )
     return fates
@@ -214,8 +216,8 @@ def _describe_mixture(store: Repository, runs: Sequence[LotRun], choice: LotChoi
 
 def _group_serials(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
     groups: dict[str, list[str]] = {}
-    for run, words in pairs:
-        serials = groups.setdefault(words, [])
+    for run, description in pairs:
+        serials = groups.setdefault(description, [])
         if run.line.serial not in serials:
             serials.append(run.line.serial)
     return groups

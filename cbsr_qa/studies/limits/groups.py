@@ -40,8 +40,8 @@ class Group:
             return f"of {', '.join(lower)} only lower bounds are known (≥): hold longer, so that it is measured"
         counts = {len(run): serial for serial, runs in self.sensors.items() for run in runs}
         if len(counts) > 1:
-            words = " and ".join(f"{count} (such as {serial})" for count, serial in sorted(counts.items()))
-            return f"runs have different numbers of values: {words}"
+            count_words = " and ".join(f"{count} (such as {serial})" for count, serial in sorted(counts.items()))
+            return f"runs have different numbers of values: {count_words}"
         return ""
 
 
@@ -57,21 +57,21 @@ def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, 
     runs = {serial: tuple(_group_by_key(run) for run in members) for serial, members in lot.analysed.items()}
     latest = _group_by_key(max(lot.runs, key=lambda run: run.line.started_at))
     keys = dict.fromkeys((*latest, *(key for members in runs.values() for run in members for key in run)))
-    known = {key.name for key in keys}
+    measured_names = {key.name for key in keys}
     for name in names:
-        if name not in known:
-            raise missing_metric_error(name, known)
+        if name not in measured_names:
+            raise missing_metric_error(name, measured_names)
     groups = [_group(key, runs, latest) for key in keys if not names or key.name in names]
-    limited = [group for group in groups if group.present is not None]
-    return tuple(groups if names or everything or not limited else limited)
+    limited_groups = [group for group in groups if group.present is not None]
+    return tuple(groups if names or everything or not limited_groups else limited_groups)
 
 
 def _group_by_key(run: LotRun) -> Taken:
-    taken: dict[MetricKey, tuple[Measurement, ...]] = {}
-    for m in run.analysis.measurements:
-        key = MetricKey(m.name, m.phase, m.qualifier)
-        taken[key] = (*taken.get(key, ()), m)
-    return taken
+    measurements_by_key: dict[MetricKey, tuple[Measurement, ...]] = {}
+    for measurement in run.analysis.measurements:
+        key = MetricKey(measurement.name, measurement.phase, measurement.qualifier)
+        measurements_by_key[key] = (*measurements_by_key.get(key, ()), measurement)
+    return measurements_by_key
 
 
 def _group(key: MetricKey, lot: Mapping[str, tuple[Taken, ...]], latest: Taken) -> Group:

@@ -44,7 +44,7 @@ class Terms:
     ----------
     coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     guard_factor : width of the guard band over the expanded uncertainty.
-    distribution : of single values; None for the widest limit of those the lot does not reject.
+    distribution : distribution of single values; None for the widest limit of those the lot does not reject.
     """
 
     coverage: float = 0.99
@@ -61,9 +61,9 @@ class Terms:
         RefusedError if a number is out of range, or the distribution does not exist.
         """
         ranges = (("coverage", coverage_percent, 99.99), ("confidence", confidence_percent, 99.9))
-        for name, percent, most in ranges:
-            if not 50 <= percent <= most:
-                raise RefusedError(f"{name} is {percent:g} %; allowed: 50 to {most:g} %")
+        for name, percent, largest_percent in ranges:
+            if not 50 <= percent <= largest_percent:
+                raise RefusedError(f"{name} is {percent:g} %; allowed: 50 to {largest_percent:g} %")
         if not 0 <= guard_factor <= 10:
             raise RefusedError(f"the guard factor is {guard_factor:g}; allowed: 0 to 10")
         if distribution not in _DISTRIBUTIONS:
@@ -136,7 +136,7 @@ class ProposedLimit(Judged):
     Parameters
     ----------
     sensors, values : number of sensors, and of values per run.
-    mean : of all values, with equal weight of sensors.
+    mean : mean of all values, with equal weight of sensors.
     marginal : width of the guard band, in ``unit``.
     bounds : basis of each side.
     positive : whether no value of the lot is zero or negative.
@@ -242,8 +242,10 @@ def _ends(limits: LotLimits) -> tuple[float | None, float | None]:
 def _refit_without(limits: LotLimits, smallest: Runs, largest: Runs, values: int, ask: Ask) -> BareLimits | None:
     if not limits.far_out:
         return None
-    kept = [index for index in range(len(largest)) if index not in limits.far_out]
-    other = lot_limits([smallest[index] for index in kept], [largest[index] for index in kept], values, ask)
+    kept_indices = [index for index in range(len(largest)) if index not in limits.far_out]
+    other = lot_limits(
+        [smallest[index] for index in kept_indices], [largest[index] for index in kept_indices], values, ask
+    )
     return BareLimits(*_ends(other), other.why)
 
 
@@ -262,33 +264,37 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     """Find the uncertainty of one run: from repeated runs, else as stated by the measurements."""
     picks = [min if side == "lower" else max for side in bounds]
     repeats = sum(len(runs) - 1 for runs in group.sensors.values())
-    moved = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
-    over = f", at stations {', '.join(lot.stations)}" if moved else ""
-    source = f"repeatability of {repeats} repeated runs{over}"
+    at_several_stations = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
+    over_stations = f", at stations {', '.join(lot.stations)}" if at_several_stations else ""
+    source = f"repeatability of {repeats} repeated runs{over_stations}"
     repeated = [repeatability(_worst(group, pick), source) for pick in picks]
     widest = max(filter(None, repeated), key=lambda u: u.standard, default=None)
     if widest is not None:
         return widest, source
     runs = [run for runs in group.sensors.values() for run in runs]
-    stated = [pick(run, key=lambda m: m.value or 0.0).uncertainty for pick in picks for run in runs]
-    known = [u for u in stated if u]
-    if len(known) == len(stated):
+    stated_uncertainties = [pick(run, key=lambda m: m.value or 0.0).uncertainty for pick in picks for run in runs]
+    known_uncertainties = [u for u in stated_uncertainties if u]
+    if len(known_uncertainties) == len(stated_uncertainties):
         source = "stated by the measurements"
-        return Uncertainty(sqrt(sum(u * u for u in known) / len(known)), None, source), source
-    few = _NEVER_TWICE if not repeats else _NO_SPREAD
+        return Uncertainty(
+            sqrt(sum(u * u for u in known_uncertainties) / len(known_uncertainties)), None, source
+        ), source
+    few_words = _NEVER_TWICE if not repeats else _NO_SPREAD
     if 0 < repeats < FEWEST_REPEATS:
-        few = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
-    return None, _UNSTATED.format(few=few, silent=len(stated) - len(known), values=len(stated))
+        few_words = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
+    return None, _UNSTATED.format(
+        few=few_words, silent=len(stated_uncertainties) - len(known_uncertainties), values=len(stated_uncertainties)
+    )
 
 
 def _risks(bounds: Iterable[Bound], width: float, uncertainty: Uncertainty) -> ProposedRisks | None:
     sums = [Risks(0.0, 0.0), Risks(0.0, 0.0)]
     for bound in bounds:
         for place, guard in enumerate((0.0, width)):
-            own = risks(bound, guard, uncertainty)
-            if own is None:
+            bound_risks = risks(bound, guard, uncertainty)
+            if bound_risks is None:
                 return None
-            sums[place] += own
+            sums[place] += bound_risks
     return ProposedRisks(*sums)
 
 
@@ -301,9 +307,9 @@ def _why_no_risks(bounds: Iterable[Bound], uncertainty: Uncertainty | None) -> s
 
 def _failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
     """Name the sensors with this worst outcome over all their runs."""
-    failing = []
+    failing_sensors = []
     for serial, runs in group.sensors.items():
         outcomes = {limit.judge(m.value, m.bound) for run in runs for m in run}
         if outcome in outcomes and (outcome is Outcome.FAIL or Outcome.FAIL not in outcomes):
-            failing.append(serial)
-    return tuple(failing)
+            failing_sensors.append(serial)
+    return tuple(failing_sensors)

@@ -26,7 +26,7 @@ RULE: Final = (
     " reaches beyond the limit; any other passes (JCGM 106:2012, 8.3.2); guard band = {factor:g} × expanded"
     " uncertainty"
 )
-#: Why a recipe may refuse a limit on the overlap.
+#: Reason why a recipe may refuse a limit on the overlap.
 SIZELESS: Final = "{label}: a recipe takes this in only with area_ratio limited there too, above 0 and on both sides"
 
 
@@ -39,8 +39,8 @@ class ProposedLimits:
     version : name of these limits.
     coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     rule : the decision rule, in words.
-    data_sha256 : of every measurement of the lot.
-    limits, not_proposed : in the order of the recipe's measurements.
+    data_sha256 : digest of every measurement of the lot.
+    limits, not_proposed : measurements with and without a proposal, in the order of the recipe's measurements.
     lot_fails_any : sensors of the lot that fail at least one of the limits.
     without_size : overlaps that a recipe accepts only if it also bounds the blob's size, which these limits do not.
     output : the written file, or None.
@@ -77,8 +77,8 @@ def propose_limits(
     Parameters
     ----------
     names, everything : measurements; by default those limited by the recipe (all if it has no limits).
-    version : of the limits; by default the day and the first digits of the data's digest.
-    output : must not exist yet.
+    version : version of the limits; by default the day and the first digits of the data's digest.
+    output : file to write, which must not exist yet.
 
     Raises
     ------
@@ -121,14 +121,14 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
     """Refuse if there is no limit for a named measurement, or for any."""
     for name in names or (None,):
         members = [proposal for proposal in proposals if name in (None, proposal.measurement)]
-        refused = [member for member in members if isinstance(member, NoLimit)]
-        if len(refused) == len(members):
-            whys = "\n".join(
-                f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refused[:10]
+        refusals = [member for member in members if isinstance(member, NoLimit)]
+        if len(refusals) == len(members):
+            reasons = "\n".join(
+                f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refusals[:10]
             )
-            rest = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
+            more_reasons = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
             raise RefusedError(
-                f"no limit can be proposed from this lot:\n{whys}{rest}",
+                f"no limit can be proposed from this lot:\n{reasons}{more_reasons}",
                 remedy="test more sensors, leave out what does not belong by --without, or ask for less --coverage",
             )
 
@@ -151,8 +151,8 @@ def _name_unsized(limits: tuple[ProposedLimit, ...]) -> tuple[str, ...]:
 def lot_words(lot: Lot) -> str:
     """Return the lot in one line."""
     counts = f"{plural(len(lot.sensors), 'sensor')}, {plural(len(lot.runs), 'run')}"
-    words = f"{lot.chosen}: {counts} at {', '.join(lot.stations)}"
-    return f"{words} (SIMULATED)" if lot.simulated else words
+    description = f"{lot.chosen}: {counts} at {', '.join(lot.stations)}"
+    return f"{description} (SIMULATED)" if lot.simulated else description
 
 
 def limits_toml(proposed: ProposedLimits) -> str:
@@ -179,8 +179,8 @@ def _remarks(proposed: ProposedLimits) -> Iterator[str]:
         yield f"From SIMULATED sensors: {'; '.join(lot.simulated)}"
     if lot.left_out:
         yield f"Left out on request: {', '.join(lot.left_out)}"
-    yield from (f"Taken in although not good: {words}" for words in lot.not_good)
-    yield from (f"Mixed {words}" for words in lot.mixed)
+    yield from (f"Taken in although not good: {remark}" for remark in lot.not_good)
+    yield from (f"Mixed {remark}" for remark in lot.mixed)
     yield from (SIZELESS.format(label=label) for label in proposed.without_size)
     yield from (f"No limit for {refusal.label}: {refusal.why}" for refusal in proposed.not_proposed)
 
@@ -209,8 +209,8 @@ def write_new(path: Path, text: str) -> None:
 def refuse_existing(path: Path) -> None:
     """Refuse to overwrite a file: limits used to judge runs must not change."""
     with writing(path):
-        there = path.exists()
+        exists = path.exists()
     if path.suffix != ".toml":
         raise RefusedError(f"{path} is not named as a TOML file", remedy=f"name it {path.stem}.toml, for example")
-    if there:
+    if exists:
         raise RefusedError(f"{path} exists already", remedy="name another file: versions of limits are kept")

@@ -51,14 +51,14 @@ def limits_outcome(proposed: ProposedLimits) -> CommandOutcome[ProposedLimits]:
 
 def _page(proposed: ProposedLimits) -> Page:
     lot, count, failing = proposed.lot, len(proposed.limits), proposed.lot_fails_any
-    together = min(100 * count * (1 - proposed.coverage), 100.0)
+    joint_percent = min(100 * count * (1 - proposed.coverage), 100.0)
     fails = _LOT_FAILS.format(
         failing=len(failing), sensors=len(lot.sensors), names=f": {list_names(failing)}" if failing else ""
     )
     reason = _EACH.format(
         coverage=100 * proposed.coverage,
         confidence=100 * proposed.confidence,
-        together=_TOGETHER.format(count=count, percent=together) if count > 1 else "",
+        together=_TOGETHER.format(count=count, percent=joint_percent) if count > 1 else "",
         fails=fails,
     )
     facts = [
@@ -89,8 +89,8 @@ def _limits(proposed: ProposedLimits) -> Table:
     )
     rows = []
     for limit in proposed.limits:
-        taken = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in limit.bounds.values())
-        now = _NONE if limit.lot_fails_present is None else len(limit.lot_fails_present)
+        distributions = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in limit.bounds.values())
+        present_failures = _NONE if limit.lot_fails_present is None else len(limit.lot_fails_present)
         rows.append(
             (
                 limit.label,
@@ -98,12 +98,12 @@ def _limits(proposed: ProposedLimits) -> Table:
                 f"{limit.sensors} × {limit.values}" if limit.values > 1 else str(limit.sensors),
                 number(limit.mean, 4),
                 number(max(bound.worst_deviation for bound in limit.bounds.values()), 4),
-                next(iter(taken)) if len(taken) == 1 else "see below",
+                next(iter(distributions)) if len(distributions) == 1 else "see below",
                 _exact(limit.lower),
                 _exact(limit.upper),
                 number(limit.marginal) if limit.marginal else "none",
                 _limit_words(limit.present),
-                f"{now} → {len(limit.lot_fails)} of {limit.sensors}",
+                f"{present_failures} → {len(limit.lot_fails)} of {limit.sensors}",
                 str(len(limit.lot_marginal)),
             )
         )
@@ -126,7 +126,7 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
     for fit in bound.tests:
         best[fit.distribution] = max(fit.p_value, best.get(fit.distribution, 0.0))
     possible = {fit.distribution for fit in bound.tests if not fit.refuted}
-    refuted = [f"{name} ({p_value:.2g})" for name, p_value in best.items() if name not in possible]
+    refuted_names = [f"{name} ({p_value:.2g})" for name, p_value in best.items() if name not in possible]
     itself = "" if values in (1, bound.independent_values) else ", itself"
     logs = " of log" if bound.scale.logarithmic else ""
     return (
@@ -137,7 +137,7 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
         number(bound.worst_mean, 4),
         number(bound.worst_deviation, 4),
         ", ".join(f"{other.distribution} {number(other.limit, 4)}" for other in bound.narrower) or _NONE,
-        ", ".join(refuted) or _NONE,
+        ", ".join(refuted_names) or _NONE,
     )
 
 
@@ -145,20 +145,20 @@ def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
     risks = ("C accepted", "P accepted", "C refused", "P refused")
     rows = []
     for limit in guarded:
-        found, shares = limit.uncertainty, [_NONE] * 4
-        assert found.standard is not None
-        assert found.coverage_factor is not None
+        uncertainty, risk_cells = limit.uncertainty, [_NONE] * 4
+        assert uncertainty.standard is not None
+        assert uncertainty.coverage_factor is not None
         if limit.risks is not None:
-            shares = [*_shares(limit.risks.marginal_accepted), *_shares(limit.risks.marginal_refused)]
-        freedom = _NONE if found.degrees_of_freedom is None else str(found.degrees_of_freedom)
-        known = (
-            f"{found.coverage_factor:.2f}",
-            number(found.standard, 4),
+            risk_cells = [*_shares(limit.risks.marginal_accepted), *_shares(limit.risks.marginal_refused)]
+        freedom = _NONE if uncertainty.degrees_of_freedom is None else str(uncertainty.degrees_of_freedom)
+        uncertainty_cells = (
+            f"{uncertainty.coverage_factor:.2f}",
+            number(uncertainty.standard, 4),
             unit_shown(limit.unit),
-            found.source,
+            uncertainty.source,
             freedom,
         )
-        rows.append((limit.label, *known, *shares))
+        rows.append((limit.label, *uncertainty_cells, *risk_cells))
     columns = ("measurement", "k", "u", "unit", "source", "degrees of freedom", *risks)
     return text_table(_GUARD.format(factor=factor), columns, rows, (1, 2, 5, 6, 7, 8, 9))
 
@@ -167,8 +167,10 @@ def _notes(proposed: ProposedLimits) -> Iterator[Paragraph]:
     for limit in proposed.limits:
         label = limit.label
         if limit.far_out:
-            bare = limit.without_far_out
-            limits = "none" if bare is None else bare.why or _sides(bare.lower, bare.upper)
+            other_limits = limit.without_far_out
+            limits = (
+                "none" if other_limits is None else other_limits.why or _sides(other_limits.lower, other_limits.upper)
+            )
             yield Paragraph(_FAR.format(label=label, serials=", ".join(limit.far_out), limits=limits), "warning")
         if limit.uncertainty.standard is None:
             yield Paragraph(_NO_GUARD.format(label=label, why=limit.uncertainty.source), "note")

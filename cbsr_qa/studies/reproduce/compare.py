@@ -153,20 +153,20 @@ def compare_value(
     why : reason given for a disagreement.
     printed_count : values behind a printed deviation, for ``Rule.SCATTER``.
     """
-    ours, *beside = simulated
-    agrees, note, printed, value = None, "", paper.value, ours.value
+    our_value, *other_values = simulated
+    agrees, note, printed, value = None, "", paper.value, our_value.value
     if value is None:
-        note = f"not measured: {ours.uncertainty_is}"
+        note = f"not measured: {our_value.uncertainty_is}"
     elif rule is Rule.RANGE:
-        agrees, note = _match_ranges(ours, value, paper)
+        agrees, note = _match_ranges(our_value, value, paper)
     else:
         assert printed is not None
         if rule is Rule.BAND:  # the paper's bands do not depend on size
             paper = replace(paper, band=overlap_grade(printed, 1.0))
-            ours = replace(ours, band=overlap_grade(value, 1.0))
-        agrees = _agree(rule, paper, printed, ours, value, printed_count)
+            our_value = replace(our_value, band=overlap_grade(value, 1.0))
+        agrees = _agree(rule, paper, printed, our_value, value, printed_count)
     reason = note if agrees or agrees is None else f"{note}; {why}" if note else why
-    return ComparedRow(group, name, unit, kind, rule, paper, ours, tuple(beside), agrees, reason)
+    return ComparedRow(group, name, unit, kind, rule, paper, our_value, tuple(other_values), agrees, reason)
 
 
 def show_beside(group: str, name: str, unit: str, paper: Printed, ours: Ours, why: str) -> ComparedRow:
@@ -177,8 +177,8 @@ def show_beside(group: str, name: str, unit: str, paper: Printed, ours: Ours, wh
 def mean_of_deviations(sheet: str, errors: Array) -> Ours:
     """Return the standard deviation of some errors with its standard error for normal values."""
     deviation, count = float(errors.std(ddof=1)), len(errors)
-    of = f"standard error of the deviation of {count} presses; bias {float(errors.mean()):+.2f} N"
-    return Ours(sheet, deviation, deviation / np.sqrt(2 * (count - 1)), of, count)
+    meaning = f"standard error of the deviation of {count} presses; bias {float(errors.mean()):+.2f} N"
+    return Ours(sheet, deviation, deviation / np.sqrt(2 * (count - 1)), meaning, count)
 
 
 def _agree(rule: Rule, paper: Printed, printed: float, ours: Ours, value: float, printed_count: int) -> bool:
@@ -196,7 +196,7 @@ def _match_ranges(ours: Ours, value: float, paper: Printed) -> tuple[bool | None
     if ours.at_least and value <= max(printed.high for printed in paper.ranges):
         return None, "a lower bound: not all loads had settled"
     slack = ours.uncertainty or 0.0
-    inside = [] if ours.at_least else [r.where for r in paper.ranges if r.low - slack <= value <= r.high + slack]
-    if len(inside) == len(paper.ranges):
+    range_names = [] if ours.at_least else [r.where for r in paper.ranges if r.low - slack <= value <= r.high + slack]
+    if len(range_names) == len(paper.ranges):
         return True, ""
-    return (True, f"inside the range of {inside[0]} only") if inside else (False, "")
+    return (True, f"inside the range of {range_names[0]} only") if range_names else (False, "")

@@ -54,8 +54,8 @@ def bars_svg(table: Sequence[ComparedRow]) -> Canvas:
 def _bars(axes: Axes, place: int, row: ComparedRow) -> None:
     _bar(axes, place - 0.22, row.paper.value, row.paper.deviation, QUIET, "s")
     _bar(axes, place, row.ours.value, row.ours.uncertainty, BLUE, "o")
-    for ours in row.beside:
-        _bar(axes, place + 0.22, ours.value, ours.uncertainty, ORANGE, "D")
+    for other_value in row.beside:
+        _bar(axes, place + 0.22, other_value.value, other_value.uncertainty, ORANGE, "D")
 
 
 def _bar(axes: Axes, y: float, value: float | None, spread: float | None, colour: str, marker: str) -> None:

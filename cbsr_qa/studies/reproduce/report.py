@@ -58,9 +58,9 @@ def _table(table: ComparedTable, reproduction: Reproduction) -> Iterator[Block]:
     yield from (Paragraph(note, "note") for note in table.notes)
     yield from _figures(table, reproduction)
     reasons = list(dict.fromkeys(row.reason for row in table.rows if row.reason))
-    shown = len(_COLUMNS) if any(row.paper.band for row in table.rows) else len(_COLUMNS) - 1
-    rows = [_cells(row, reasons)[:shown] for row in table.rows]
-    yield text_table(_NUMBERS, _COLUMNS[:shown], rows, (2, 3, 4))
+    column_count = len(_COLUMNS) if any(row.paper.band for row in table.rows) else len(_COLUMNS) - 1
+    rows = [_cells(row, reasons)[:column_count] for row in table.rows]
+    yield text_table(_NUMBERS, _COLUMNS[:column_count], rows, (2, 3, 4))
     for place, reason in enumerate(reasons):
         yield Paragraph(f"{_letter(place)}: {reason}.".replace("..", "."))
 
@@ -88,11 +88,11 @@ def _letter(place: int) -> str:
 def _cells(row: ComparedRow, reasons: Sequence[str]) -> tuple[str, ...]:
     name = row.name if row.unit == "1" else f"{row.name} [{row.unit}]"
     name += ", an input" if row.kind is ValueOrigin.INPUT else ""
-    beside = _ours_text(row.beside[0]) if row.beside else _NONE
+    beside_text = _ours_text(row.beside[0]) if row.beside else _NONE
     agrees = "not compared" if row.rule is Rule.NONE else _AGREES[row.agrees]
     why = _letter(reasons.index(row.reason)) if row.reason else ""
     bands = f"{row.paper.band}, {row.ours.band}" if row.paper.band else ""
-    return row.group, name, _format_printed(row.paper), _ours_text(row.ours), beside, agrees, why, bands
+    return row.group, name, _format_printed(row.paper), _ours_text(row.ours), beside_text, agrees, why, bands
 
 
 def _format_printed(printed: Printed) -> str:

@@ -88,7 +88,7 @@ def reproduce_paper(
 
     Parameters
     ----------
-    quick : fewer trials and strains.
+    quick : True for fewer trials and strains.
     tell : receives the progress in words.
     processes : number in parallel; by default two, or one on a single core.
 

@@ -56,15 +56,15 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
     printed = {row["wt_percent"]: row for row in paper["table1_material"]}
     for percent in _PERCENTS:
         row = printed[percent]
-        group, both, strip = f"{percent} wt%", _both(sheets, percent), strips[percent]
+        group, pair, strip = f"{percent} wt%", _both(sheets, percent), strips[percent]
         modulus = Printed(row["E_kPa"], None, 0.05)
         factor = Printed(paper["gauge_factor"][str(percent)], None, 0.05)
         yield compare_value(
             group, "R_int", "kΩ", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["R_int_kohm"]),
-            [sheet.resistance for sheet in both],
+            [sheet.resistance for sheet in pair],
         )  # fmt: skip
         yield compare_value(group, "E", "kPa", ValueOrigin.INPUT, Rule.DIGITS, modulus, [strip.modulus])
-        yield show_beside(group, "E on the sheet, 60 s held", "kPa", modulus, both[0].modulus, WHY["modulus sheet"])
+        yield show_beside(group, "E on the sheet, 60 s held", "kPa", modulus, pair[0].modulus, WHY["modulus sheet"])
         yield compare_value(
             group, "gauge factor", "1", ValueOrigin.INPUT, Rule.DIGITS, factor, [strip.local_gauge_factor]
         )
@@ -75,44 +75,46 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
 
 def _table2(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
-        group, both, row = f"{percent} wt%", _both(sheets, percent), paper["table2_noise"][str(percent)]
+        group, pair, row = f"{percent} wt%", _both(sheets, percent), paper["table2_noise"][str(percent)]
         yield compare_value(
             group, "NF", "1", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["NF"]),
-            [sheet.noise_figure for sheet in both], why=WHY["noise figure"],
+            [sheet.noise_figure for sheet in pair], why=WHY["noise figure"],
         )  # fmt: skip
         floor = Printed(paper["relative_noise_floor"][str(percent)], None, 5e-6)
         yield compare_value(
             group, "noise floor, relative (3.3.2)", "1", ValueOrigin.INPUT, Rule.DIGITS, floor,
-            [sheet.noise_floor for sheet in both], why=WHY["noise floor"],
+            [sheet.noise_floor for sheet in pair], why=WHY["noise floor"],
         )  # fmt: skip
         yield show_beside(
-            group, "σ_n, printed in mS; ours relative", "1", Printed(row["sigma_n_mS_as_printed"]), both[0].noise,
+            group, "σ_n, printed in mS; ours relative", "1", Printed(row["sigma_n_mS_as_printed"]), pair[0].noise,
             WHY["noise in mS"],
         )  # fmt: skip
 
 
 def _table3(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
-    both = _both(sheets, 8)
-    for number, (mask, _) in enumerate(both[0].by_mask):
+    pair = _both(sheets, 8)
+    for number, (mask, _) in enumerate(pair[0].by_mask):
         row = paper["table3_8wt_20pct_by_threshold"][f"{mask:.2f}"]
         for column, (name, unit) in enumerate(_SPATIAL):
             rule, why = Rule.DEVIATION, WHY[f"{name} mask"]
             if name == "A_OL":
-                rule, why = Rule.BAND, f"{why} Our mean A_b/A_FA is {both[0].size_ratio[number][1]:.1f}."
-            ours = [sheet.by_mask[number][1][column] for sheet in both]
+                rule, why = Rule.BAND, f"{why} Our mean A_b/A_FA is {pair[0].size_ratio[number][1]:.1f}."
+            our_values = [sheet.by_mask[number][1][column] for sheet in pair]
             group = f"mask {100 * mask:g} %"
-            yield compare_value(group, name, unit, ValueOrigin.OUTCOME, rule, Printed(*row[column]), ours, why=why)
+            yield compare_value(
+                group, name, unit, ValueOrigin.OUTCOME, rule, Printed(*row[column]), our_values, why=why
+            )
 
 
 def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
-    both = _both(sheets, 8)
-    for number, (place, _) in enumerate(both[0].by_place):
+    pair = _both(sheets, 8)
+    for number, (place, _) in enumerate(pair[0].by_place):
         row = paper["table4_8wt_20pct_85"][place]
         for column, (name, unit) in enumerate(_SPATIAL):
-            ours = [sheet.by_place[number][1][column] for sheet in both]
+            our_values = [sheet.by_place[number][1][column] for sheet in pair]
             why = WHY["contradiction"] if place in ("L0", "L1", "L8") and name == "SD" else WHY[f"{name} place"]
             printed = Printed(*row[column])
-            yield compare_value(place, name, unit, ValueOrigin.OUTCOME, Rule.DEVIATION, printed, ours, why=why)
+            yield compare_value(place, name, unit, ValueOrigin.OUTCOME, Rule.DEVIATION, printed, our_values, why=why)
 
 
 def _random(paper: Tables, sheets: Sheets, key: str, column: int) -> Iterator[ComparedRow]:
@@ -135,8 +137,8 @@ def _settling(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[Compare
         )
         uniform, *bench = _both(sheets, percent)
         for settling in uniform.settlings:
-            beside = [other.ours for sheet in bench for other in sheet.settlings if _alike(other, settling)]
-            yield _settling_row(f"{percent} wt%", settling, printed, beside)
+            bench_values = [other.ours for sheet in bench for other in sheet.settlings if _alike(other, settling)]
+            yield _settling_row(f"{percent} wt%", settling, printed, bench_values)
         for settling in strips[percent].settlings:
             yield _settling_row(f"{percent} wt% in 1D", settling, printed, [])
 
@@ -148,23 +150,23 @@ def _alike(one: SettlingOf, other: SettlingOf) -> bool:
 def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: list[Ours]) -> ComparedRow:
     direction = "loading" if settling.loading else "unloading"
     name = "all strains in one fit" if settling.strain is None else f"{100 * settling.strain:g} % strain"
-    ours = [settling.ours, *beside]
+    our_values = [settling.ours, *beside]
     return compare_value(
-        f"{group}, {direction}", name, "s", ValueOrigin.OUTCOME, Rule.RANGE, printed, ours, why=WHY["settling"]
+        f"{group}, {direction}", name, "s", ValueOrigin.OUTCOME, Rule.RANGE, printed, our_values, why=WHY["settling"]
     )
 
 
 def _force(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
-        group, key, both = f"{percent} wt%", str(percent), _both(sheets, percent)
+        group, key, pair = f"{percent} wt%", str(percent), _both(sheets, percent)
         yield compare_value(
             group, "force error at L0, one ρ̄₀", "N", ValueOrigin.OUTCOME, Rule.SCATTER,
-            Printed(paper["force_error_sd_N_at_L0"][key], None, 0.005), [force_error(sheet) for sheet in both],
+            Printed(paper["force_error_sd_N_at_L0"][key], None, 0.005), [force_error(sheet) for sheet in pair],
             why=WHY["force"], printed_count=_PAPER_PRESSES,
         )  # fmt: skip
         yield compare_value(
             group, "least force, from the noise floor", "N", ValueOrigin.OUTCOME, Rule.DIGITS,
-            Printed(paper["min_force_N_as_printed"][key], None, 0.005), [least_force(sheet) for sheet in both],
+            Printed(paper["min_force_N_as_printed"][key], None, 0.005), [least_force(sheet) for sheet in pair],
             why=WHY[f"least force {percent}"],
         )  # fmt: skip
 
@@ -187,6 +189,6 @@ def least_force(sheet: SheetValues) -> Ours:
     floor = sheet.noise_floor
     if floor.value is None:
         return floor
-    each = sheet.head_mm2 / sheet.stress_slope_per_kPa * 1e-3
-    uncertainty = None if floor.uncertainty is None else each * floor.uncertainty
-    return Ours(sheet.sheet, each * floor.value, uncertainty, floor.uncertainty_is, floor.count)
+    newtons_per_unit = sheet.head_mm2 / sheet.stress_slope_per_kPa * 1e-3
+    uncertainty = None if floor.uncertainty is None else newtons_per_unit * floor.uncertainty
+    return Ours(sheet.sheet, newtons_per_unit * floor.value, uncertainty, floor.uncertainty_is, floor.count)

@@ -54,9 +54,9 @@ class SheetValues:
     by_mask : percentage mask → values over all held frames at 20 % strain.
     by_place : location → the same with the main mask.
     random : place of the list → error and deviation over trials, steady images.
-    settlings : of the conductance under the load, by strain.
-    presses : single ones, left out of their own force model.
-    stress_slope_per_kPa, head_mm2 : for the detection limit.
+    settlings : settling of the conductance under the load, by strain.
+    presses : single presses, each left out of its own force model.
+    stress_slope_per_kPa, head_mm2 : response per stress and area of the head, for the detection limit.
     """
 
     sheet: str
@@ -162,12 +162,12 @@ def _run_value(
     measurements: Iterable[Measurement], name: str, qualifier: str, sheet: str, of: str, scale: float = 1.0
 ) -> Ours:
     """Take the measurement of the whole run, or of its only location."""
-    for measured in measurements:
-        if (measured.name, measured.qualifier, measured.location) == (name, qualifier, ""):
-            if measured.value is None:
-                return Ours(sheet, None, uncertainty_is=measured.how)
-            uncertainty = None if measured.uncertainty is None else scale * measured.uncertainty
-            return Ours(sheet, scale * measured.value, uncertainty, of)
+    for measurement in measurements:
+        if (measurement.name, measurement.qualifier, measurement.location) == (name, qualifier, ""):
+            if measurement.value is None:
+                return Ours(sheet, None, uncertainty_is=measurement.how)
+            uncertainty = None if measurement.uncertainty is None else scale * measurement.uncertainty
+            return Ours(sheet, scale * measurement.value, uncertainty, of)
     return Ours(sheet, None, uncertainty_is="not measured")
 
 
@@ -176,14 +176,14 @@ def _noise_floor(run: RunObservation, sheet: str) -> Ours:
     frames, problem = run.unloaded.voltages, run.reconstruction.problem
     floors = []
     for start in range(0, len(frames) - _FLOOR_FRAMES + 1, _FLOOR_FRAMES):
-        chosen = np.zeros(len(frames), dtype=np.bool_)
-        chosen[start : start + _FLOOR_FRAMES] = True
-        readings = changes(frames[chosen], frames[~chosen].mean(axis=0), problem, run.scale)
+        is_chosen = np.zeros(len(frames), dtype=np.bool_)
+        is_chosen[start : start + _FLOOR_FRAMES] = True
+        readings = changes(frames[is_chosen], frames[~is_chosen].mean(axis=0), problem, run.scale)
         floors.append(float(np.abs(run.reconstruction.images(readings)).max()))
     if len(floors) < 2:
         return Ours(sheet, None, uncertainty_is="too few unloaded frames")
-    of = f"deviation over {len(floors)} sets of {_FLOOR_FRAMES} frames"
-    return Ours(sheet, float(np.mean(floors)), float(np.std(floors, ddof=1)), of, len(floors))
+    meaning = f"deviation over {len(floors)} sets of {_FLOOR_FRAMES} frames"
+    return Ours(sheet, float(np.mean(floors)), float(np.std(floors, ddof=1)), meaning, len(floors))
 
 
 def _grid(run: RunObservation, place: str = "") -> list[LoadObservation]:
@@ -208,19 +208,28 @@ def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> S
     for load in _grid(run, place):
         timeline = next(timeline for timeline in run.timelines if timeline.phase == load.phase)
         row = timeline.masks.index(mask)
-        held = (timeline.time_s >= load.record.hold_start_s) & (timeline.time_s < load.record.release_start_s)
-        of = (timeline.error_mm, timeline.overlap_percent, timeline.deviation_mm2)
-        for column, values in zip(columns, of, strict=True):
-            column.append(values[row][held])
-    taken = [np.concatenate(column) if column else np.zeros(0) for column in columns]
-    seen = np.isfinite(taken[0])
-    if seen.sum() < 2:
+        is_held = (timeline.time_s >= load.record.hold_start_s) & (timeline.time_s < load.record.release_start_s)
+        figures_by_mask = (timeline.error_mm, timeline.overlap_percent, timeline.deviation_mm2)
+        for column, values in zip(columns, figures_by_mask, strict=True):
+            column.append(values[row][is_held])
+    held_values = [np.concatenate(column) if column else np.zeros(0) for column in columns]
+    has_blob = np.isfinite(held_values[0])
+    if has_blob.sum() < 2:
         nothing = Ours(sheet, None, uncertainty_is="no blob was seen")
         return nothing, nothing, nothing
-    lost = int((~seen).sum())
-    of_words = f"deviation over {int(seen.sum())} held frames" + (f"; {lost} without a blob" if lost else "")
+    lost_count = int((~has_blob).sum())
+    meaning = f"deviation over {int(has_blob.sum())} held frames" + (
+        f"; {lost_count} without a blob" if lost_count else ""
+    )
     error, overlap, deviation = (
-        Ours(sheet, float(one[seen].mean()), float(one[seen].std(ddof=1)), of_words, int(seen.sum())) for one in taken
+        Ours(
+            sheet,
+            float(figure_values[has_blob].mean()),
+            float(figure_values[has_blob].std(ddof=1)),
+            meaning,
+            int(has_blob.sum()),
+        )
+        for figure_values in held_values
     )
     return error, overlap, deviation
 
@@ -247,11 +256,11 @@ def _over_trials(measurements: Sequence[Measurement], sheet: str) -> Ours:
     values = [m.value for m in measurements if m.value is not None]
     if not values:
         return Ours(sheet, None, uncertainty_is=measurements[0].how if measurements else "not pressed")
-    lost = len(measurements) - len(values)
-    of = f"deviation over {len(values)} trials" if len(values) > 1 else "one trial"
-    of += f"; {lost} not detected" if lost else ""
+    undetected_count = len(measurements) - len(values)
+    meaning = f"deviation over {len(values)} trials" if len(values) > 1 else "one trial"
+    meaning += f"; {undetected_count} not detected" if undetected_count else ""
     deviation = float(np.std(values, ddof=1)) if len(values) > 1 else None
-    return Ours(sheet, float(np.mean(values)), deviation, of, len(values))
+    return Ours(sheet, float(np.mean(values)), deviation, meaning, len(values))
 
 
 def _settlings(run: RunObservation, measurements: Sequence[Measurement], sheet: str) -> Iterable[SettlingOf]:
@@ -259,8 +268,8 @@ def _settlings(run: RunObservation, measurements: Sequence[Measurement], sheet: 
     loads = [load for load in run.loads if load.phase in phases]
     for loading in (True, False):
         for strain in sorted({load.record.load.strain for load in loads}):
-            here = [load for load in loads if load.record.load.strain == strain]
-            yield SettlingOf(strain, loading, _mean_settling(here, loading, sheet))
+            strain_loads = [load for load in loads if load.record.load.strain == strain]
+            yield SettlingOf(strain, loading, _mean_settling(strain_loads, loading, sheet))
         qualifier = Dimensions("conductance", "loading" if loading else "unloading").text
         together = _run_value(measurements, "common_settling_time", qualifier, sheet, "standard error")
         yield SettlingOf(None, loading, together)
@@ -270,13 +279,15 @@ def _mean_settling(loads: Sequence[LoadObservation], loading: bool, sheet: str) 
     fits = [
         fit for load in loads for fit in load.relaxations if (fit.signal, fit.loading) == ("conductance", loading)
     ]
-    known = [(f.settling.value_s, f.settling.censored) for f in fits if f.settling.value_s is not None]
-    counted = f"{len(known)} of {len(fits)} fits kept (R² of at least 0.85)"
-    if not known or 2 * len(known) < len(fits):
-        return Ours(sheet, None, uncertainty_is=counted, count=len(known))
-    late = sum(censored for _, censored in known)
+    settling_times = [(f.settling.value_s, f.settling.censored) for f in fits if f.settling.value_s is not None]
+    fit_count_words = f"{len(settling_times)} of {len(fits)} fits kept (R² of at least 0.85)"
+    if not settling_times or 2 * len(settling_times) < len(fits):
+        return Ours(sheet, None, uncertainty_is=fit_count_words, count=len(settling_times))
+    censored_count = sum(censored for _, censored in settling_times)
     mean_s, deviation_s = estimate_restricted_mean(
-        [time_s for time_s, _ in known], [censored for _, censored in known]
+        [time_s for time_s, _ in settling_times], [censored for _, censored in settling_times]
     )
-    of = f"standard error; {counted}" + (f", {late} not settled" if late else "")
-    return Ours(sheet, mean_s, deviation_s / len(known) ** 0.5, of, len(known), late > 0)
+    meaning = f"standard error; {fit_count_words}" + (f", {censored_count} not settled" if censored_count else "")
+    return Ours(
+        sheet, mean_s, deviation_s / len(settling_times) ** 0.5, meaning, len(settling_times), censored_count > 0
+    )

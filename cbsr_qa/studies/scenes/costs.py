@@ -34,10 +34,10 @@ class Costs:
 
     Parameters
     ----------
-    effect_ms : per frame, of each enabled effect, with its share of work done once per scene.
-    each_ms : the same without that share.
+    effect_ms : time per frame of each enabled effect, with its share of work done once per scene.
+    each_ms : the same times without that share.
     once_ms : total work once per scene: when the sheet is made, when heads move, before frames are written.
-    frame_ms : of a whole frame during a load, with its force samples.
+    frame_ms : time of a whole frame during a load, with its force samples.
     compute_s : estimate for the whole recording.
     """
 
@@ -58,11 +58,11 @@ class Watched:
 
     def __call__(self, name: str) -> Callable[..., Any]:
         """Find a factory and watch its effects."""
-        plain = self._factory(name)
+        factory = self._factory(name)
 
-        @wraps(plain, updated=())  # a chain inspects its signature
+        @wraps(factory, updated=())  # a chain inspects its signature
         def make(*setting: Any, **parameters: Any) -> Any:
-            effect = plain(*setting, **parameters)
+            effect = factory(*setting, **parameters)
             self.effects[name] = effect
             self.spent_s[name] = 0.0
             for method in ("apply", "design", "record"):
@@ -83,9 +83,9 @@ class Watched:
 
     def within(self, work: Callable[[], object]) -> dict[str, float]:
         """Call a function and return the time spent within each effect [s]."""
-        before = dict(self.spent_s)
+        spent_before_s = dict(self.spent_s)
         work()
-        return {name: spent - before.get(name, 0.0) for name, spent in self.spent_s.items()}
+        return {name: spent - spent_before_s.get(name, 0.0) for name, spent in self.spent_s.items()}
 
 
 def measure_costs(
@@ -158,7 +158,7 @@ class _Bench:
     def within_ms(self) -> dict[str, float]:
         """Time per frame within each effect."""
         frames = [self._watched.within(partial(self._take_frame, self._seen, index)) for index in self._loaded]
-        return {name: 1e3 * median(each[name] for each in frames) for name in self._watched.effects}
+        return {name: 1e3 * median(spent_s[name] for spent_s in frames) for name in self._watched.effects}
 
     def once_ms(self) -> dict[str, float]:
         """Total time within each effect outside frames."""
@@ -167,10 +167,10 @@ class _Bench:
     def difference_ms(self, name: str) -> float:
         """Difference between frames with an effect and without it and its dependents; 0 if unclear."""
         effects = self._watched.effects
-        without = _with_dependents(name, effects)
-        kept = tuple(choice for choice in self._plan.scene.effects if choice.name not in without)
-        plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept))
-        same_sheet = not any(effects[each].perturbs == "sheet" for each in without)
+        left_out = _with_dependents(name, effects)
+        kept_effects = tuple(choice for choice in self._plan.scene.effects if choice.name not in left_out)
+        plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept_effects))
+        same_sheet = not any(effects[effect_name].perturbs == "sheet" for effect_name in left_out)
         other = self._world(plan, self._factory, self._plain, same_sheet=same_sheet)
         return 1e3 * _clear([_longer_s(self._plain, other, self._times(index)) for index in self._loaded])
 
@@ -217,10 +217,10 @@ def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int
     """
     tries_s: dict[bool, list[float]] = {True: [], False: []}
     for _ in range(1 + _REPEATS):
-        for ours in (True, False):
+        for is_first_world in (True, False):
             start_s = _clock_s()
-            (world if ours else other).frame(*at)
-            tries_s[ours].append(_clock_s() - start_s)
+            (world if is_first_world else other).frame(*at)
+            tries_s[is_first_world].append(_clock_s() - start_s)
     return min(tries_s[True][1:]) - min(tries_s[False][1:])
 
 
@@ -236,7 +236,7 @@ def _with_dependents(name: str, effects: dict[str, AnyEffect]) -> set[str]:
 def _choose_frames(plan: ScenePlan, thickness_mm: float) -> Sequence[int]:
     """A few frames in the middle of holds, or spread over the recording."""
     times = [press_times(load, load.strain * thickness_mm, plan.motion) for load in plan.loads]
-    middles = sorted((each.down_s + each.lifts_s) / 2 for each in times)
+    middles = sorted((press.down_s + press.lifts_s) / 2 for press in times)
     frames: Iterable[int] = (int(middle / plan.scene.frame_period_s) for middle in middles)
     loaded = sorted({min(frame, plan.frame_count - 1) for frame in frames}) or range(plan.frame_count)
     return [loaded[int(k)] for k in np.unique(np.linspace(0, len(loaded) - 1, _FRAMES).astype(int))]

@@ -21,9 +21,9 @@ class ExplainedEffect:
 
     Parameters
     ----------
-    perturbs : its stage; empty if unknown before it is created.
-    cost_ms_per_frame : with its share of work once per scene; 0 if disabled, None if not measured.
-    parameters : as given by the scene.
+    perturbs : stage of the effect; empty if unknown before the effect is created.
+    cost_ms_per_frame : cost, with a share of the work done once per scene; 0 if disabled, None if not measured.
+    parameters : parameters from the scene.
     does : first line of its docstring.
     each_ms, once_ms : cost per frame without that share, and total once per scene.
     """
@@ -46,7 +46,7 @@ class Explained:
     Parameters
     ----------
     effects : enabled ones in order, then the others by name.
-    frames : of the scene's recording; None without one.
+    frames : number of frames in the scene's recording; None without one.
     frame_ms, compute_s : measured, or None.
     measured_with : sensor type, material and load, in words; None if nothing was measured.
     """
@@ -134,9 +134,9 @@ def _on(setup: SceneSetup, watched: Watched, costs: Costs | None) -> Iterator[Ex
 
 
 def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
-    on = {choice.name for choice in setup.plan.scene.effects}
+    active_names = {choice.name for choice in setup.plan.scene.effects}
     for name in plugins.names(Kind.EFFECT):
-        if name in on:
+        if name in active_names:
             continue
         try:
             factory: Any = plugins.factory(Kind.EFFECT, name)
@@ -145,9 +145,9 @@ def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
             continue
         needs, perturbs = getattr(factory, "needs", ()), getattr(factory, "perturbs", "")
         # Unknown before creation if the factory is not a class, or the effect decides when created.
-        known = tuple(needs) if isinstance(needs, tuple | list) else ()
+        known_needs = tuple(needs) if isinstance(needs, tuple | list) else ()
         stage = perturbs if isinstance(perturbs, str) else ""
-        yield ExplainedEffect(name, False, known, stage, 0.0, {}, _does(factory))
+        yield ExplainedEffect(name, False, known_needs, stage, 0.0, {}, _does(factory))
 
 
 def _does(of: object) -> str:

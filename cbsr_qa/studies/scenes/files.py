@@ -59,18 +59,18 @@ def check_targets(
     RefusedError
         If a file exists already, or the output's name is that of another format.
     """
-    own = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
-    targets = [Target(OWN_FORMAT, own, _writer(OWN_FORMAT, plugins))]
+    own_path = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
+    targets = [Target(OWN_FORMAT, own_path, _writer(OWN_FORMAT, plugins))]
     for name in dict.fromkeys(formats):
         if name != OWN_FORMAT:
             writer = _writer(name, plugins)  # first: an unknown name may not be valid in a file name
-            beside = own.with_name(f"{own.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
-            targets.append(Target(name, beside, writer))
-    _check_suffix(own)
+            format_path = own_path.with_name(f"{own_path.stem}.{name}{_SUFFIXES.get(name.rpartition('-')[2], '')}")
+            targets.append(Target(name, format_path, writer))
+    _check_suffix(own_path)
     for target in targets:
         if os.path.lexists(target.path):
-            other = "another seed, or another file with --output" if output is None else "another file"
-            raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {other}")
+            alternative = "another seed, or another file with --output" if output is None else "another file"
+            raise RefusedError(f"{target.path} exists already", remedy=f"remove it first, or name {alternative}")
     return tuple(targets)
 
 
@@ -88,16 +88,16 @@ def write_all(recorded: RecordedScene, targets: tuple[Target, ...]) -> tuple[Wri
 
     RefusedError if a format cannot hold such a recording, or a file exists by now.
     """
-    begun: list[Path] = []
+    begun_paths: list[Path] = []
     try:
         written: list[Written] = []
         for target in targets:
             if os.path.lexists(target.path):  # the simulation takes a while; files created meanwhile are the user's
                 raise RefusedError(f"{target.path} was created in the meantime", remedy="name another file")
-            begun.append(target.path)
+            begun_paths.append(target.path)
             written.append(_write_target(recorded, target))
     except BaseException:
-        for path in begun:
+        for path in begun_paths:
             with suppress(OSError):  # a folder, or an impossible file name
                 path.unlink()
         raise
@@ -165,14 +165,14 @@ def make_folder(folder: Path, output: Path | None) -> Iterator[None]:
     ConfigError
         If it cannot be written to.
     """
-    new = [above for above in (folder, *folder.parents) if not above.exists()]
+    new_folders = [parent for parent in (folder, *folder.parents) if not parent.exists()]
     try:
         _check_writable(folder, output)
         yield
     except BaseException:
-        for above in new:
+        for parent in new_folders:
             with suppress(OSError):  # it has files of the user
-                above.rmdir()
+                parent.rmdir()
         raise
 
 

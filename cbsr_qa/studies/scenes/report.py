@@ -36,12 +36,12 @@ _SENSOR: Final = "{sensor_type} of {material}, {effects}"
 
 def explain_outcome(explained: Explained) -> CommandOutcome[Explained]:
     """Lay out what a scene contains."""
-    on = sorted((e for e in explained.effects if e.on), key=lambda effect: STAGES.index(effect.perturbs))
-    off = [effect for effect in explained.effects if not effect.on]
-    sections = [Section("On", (_on(on, explained.frame_ms),))] if on else []
-    sections += [Section("Off", (_off(off),))] if off else []
+    effects_on = sorted((e for e in explained.effects if e.on), key=lambda effect: STAGES.index(effect.perturbs))
+    effects_off = [effect for effect in explained.effects if not effect.on]
+    sections = [Section("On", (_on(effects_on, explained.frame_ms),))] if effects_on else []
+    sections += [Section("Off", (_off(effects_off),))] if effects_off else []
     sections += [Section("Not modelled", tuple(map(Paragraph, explained.not_modelled)))]
-    headline = _ON.format(on=len(on), effects=plural(len(explained.effects), "effect"))
+    headline = _ON.format(on=len(effects_on), effects=plural(len(explained.effects), "effect"))
     facts = [("Scene", explained.scene)]
     facts += [("Measured with", explained.measured_with)] if explained.measured_with else []
     page = Page("Scene", explained.scene, Banner("plain", _NONE, headline, _total(explained)), tuple(facts), (), ())
@@ -60,9 +60,9 @@ def _total(explained: Explained) -> str:
 def _on(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
     """Effects in order of stage, which is given for the first of each."""
     columns = (*_COLUMNS[:2], *_COLUMNS[4:]) if frame_ms is None else _COLUMNS
-    rows, last = [], ""
+    rows, last_stage = [], ""
     for effect in effects:
-        stage, last = "" if effect.perturbs == last else effect.perturbs, effect.perturbs
+        stage, last_stage = "" if effect.perturbs == last_stage else effect.perturbs, effect.perturbs
         cost = () if frame_ms is None else _cost(effect, frame_ms)
         needs = f"needs {', '.join(effect.needs)}" if effect.needs else ""
         rows.append((stage, effect.name, *cost, "; ".join(filter(None, (_parameters(effect.parameters), needs)))))

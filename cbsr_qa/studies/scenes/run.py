@@ -42,7 +42,7 @@ class RecordedLoad:
 
     Parameters
     ----------
-    touch_s, clear_s : when the head reaches the nominal surface, and leaves it.
+    touch_s, clear_s : times at which the head reaches and leaves the nominal surface.
     """
 
     label: str
@@ -141,10 +141,10 @@ def simulate_to_memory(
     """
     plugins = discover()
     setup = set_up(scene, plugins, recorded=True)
-    chosen = setup.plan.seed or 0 if seed is None else seed
-    world = _world(setup, plugins, chosen, tell)
+    chosen_seed = setup.plan.seed or 0 if seed is None else seed
+    world = _world(setup, plugins, chosen_seed, tell)
     recorded, remarks = _record(world, setup, plugins, tell, progress)
-    run = _scene_run(setup, chosen, recorded, (), remarks)
+    run = _scene_run(setup, chosen_seed, recorded, (), remarks)
     return SimulatedScene(run, recorded.recording, setup.sensor_type.value)
 
 
@@ -173,8 +173,8 @@ def _scene_run(
 ) -> SceneRun:
     plan, dumps = setup.plan, recorded.transcript.dumps
     # A recording names its sensor type, which means a shipped one.
-    own = setup.sensor_type.document.path
-    named = [] if own is None else ["--sensor-type", str(own)]
+    sensor_type_path = setup.sensor_type.document.path
+    sensor_type_option = [] if sensor_type_path is None else ["--sensor-type", str(sensor_type_path)]
     return SceneRun(
         scene=plan.scene.name,
         seed=seed,
@@ -188,7 +188,7 @@ def _scene_run(
         files=files,
         effects=tuple(choice.name for choice in plan.scene.effects),
         not_modelled=(*plan.scene.not_modelled, *NOT_MODELLED),
-        analyse=shlex.join(["cbsr-qa", "analyse", files[0].path, *named]) if files else "",
+        analyse=shlex.join(["cbsr-qa", "analyse", files[0].path, *sensor_type_option]) if files else "",
     )
 
 
@@ -203,19 +203,23 @@ def _rehearse(world: SimulatedWorld, setup: SceneSetup, targets: tuple[Target, .
     frames = 1 + min(dumps[0].frame, _MOST_REHEARSED) if dumps else 1
     plan = replace(setup.plan, loads=(), duration_s=frames * setup.plan.scene.frame_period_s)
     recorded = record_scene(world, plan)
-    whole = replace(recorded.transcript, lost=np.zeros_like(recorded.transcript.lost))
+    complete = replace(recorded.transcript, lost=np.zeros_like(recorded.transcript.lost))
     with TemporaryDirectory() as folder:
-        elsewhere = tuple(replace(target, path=Path(folder) / target.path.name) for target in targets)
-        write_all(replace(recorded, transcript=whole), elsewhere)
+        temporary_targets = tuple(replace(target, path=Path(folder) / target.path.name) for target in targets)
+        write_all(replace(recorded, transcript=complete), temporary_targets)
 
 
 def _label_recording(
     recorded: RecordedScene, world: SimulatedWorld, setup: SceneSetup, plugins: Plugins, notes: tuple[str, ...]
 ) -> RecordedScene:
-    on = set(world.chain.names)
-    theirs = {(r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in on}
-    others = sorted(theirs - {("cbsr-qa", cbsr_qa.__version__)})
-    software = ", ".join(f"{name} {version}" for name, version in [("cbsr-qa", cbsr_qa.__version__), *others])
+    active_names = set(world.chain.names)
+    distributions = {
+        (r.distribution, r.version) for r in plugins.registrations(Kind.EFFECT) if r.name in active_names
+    }
+    other_distributions = sorted(distributions - {("cbsr-qa", cbsr_qa.__version__)})
+    software = ", ".join(
+        f"{name} {version}" for name, version in [("cbsr-qa", cbsr_qa.__version__), *other_distributions]
+    )
     simulated = f"scene {setup.plan.scene.name}, seed {world.setting.seed}, {software}"
     return replace(recorded, recording=replace(recorded.recording, notes=notes, simulated=(simulated,)))
 

@@ -55,8 +55,8 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
     Parameters
     ----------
     scene : path or shipped name.
-    plugins : used to check the parameters of effects with the rest of the file.
-    recorded : whether it must state what is simulated and recorded; otherwise the usual sensor is used.
+    plugins : plugins that check the parameters of effects, with the rest of the file.
+    recorded : whether the scene must state what is simulated and recorded; otherwise the usual sensor is used.
 
     Raises
     ------
@@ -66,23 +66,23 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
     loaded = load_scene_plan(scene, plugins)
     if recorded:
         _check_complete(loaded)
-    plan, near = loaded.value, loaded.folder
+    plan, folder = loaded.value, loaded.folder
     with naming(loaded.document.label):
-        sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=near)
-        material = load_material(plan.material or USUAL_MATERIAL, near=near)
+        sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=folder)
+        material = load_material(plan.material or USUAL_MATERIAL, near=folder)
     check_plan(loaded, sensor_type.value)
     return SceneSetup(loaded, sensor_type, material)
 
 
 def _check_complete(loaded: Loaded[ScenePlan]) -> None:
-    given = {"sensor": loaded.value.sensor_type is not None, "recording": loaded.value.duration_s is not None}
-    lacking = [table for table, there in given.items() if not there]
+    is_given = {"sensor": loaded.value.sensor_type is not None, "recording": loaded.value.duration_s is not None}
+    lacking = [table for table, given in is_given.items() if not given]
     if lacking:
-        named = " and no ".join(f"[{table}]" for table in lacking)
+        table_names = " and no ".join(f"[{table}]" for table in lacking)
         unsaid = " and ".join(_LACKING[table][0] for table in lacking)
         lines = "\n".join(_LACKING[table][1] for table in lacking)
         raise ConfigError(
-            f"{loaded.document.label} has no {named}: it does not state {unsaid}",
+            f"{loaded.document.label} has no {table_names}: it does not state {unsaid}",
             remedy=f"add lines like these, before or after its other tables:\n{lines}",
         )
 
@@ -107,13 +107,13 @@ def make_world(
     ConfigError
         If its effects do not fit together, with the scene's file.
     """
-    chosen = setup.plan if plan is None else plan
+    chosen_plan = setup.plan if plan is None else plan
     with naming(setup.label):
         return SimulatedWorld(
-            chosen.scene,
+            chosen_plan.scene,
             setup.sensor_type.value,
             setup.material.value,
-            chosen.indenter,
+            chosen_plan.indenter,
             seed=seed,
             effect_factory=effect_factory,
             sheet=sheet,

@@ -39,7 +39,7 @@ class GreitRows:
     Parameters
     ----------
     problem : n image nodes, m readings, folded to g.
-    design : of the targets.
+    design : design of the targets.
     """
 
     def __init__(self, problem: ImagingProblem, design: TargetDesign) -> None:
@@ -76,10 +76,10 @@ class GreitRows:
         normal, right = self._fit.normal, self._fit.right
         ridge = hyperparameter**2 * self._unit * np.eye(normal.shape[1])
         rows = np.full((len(nodes), *right.shape[1:]), np.nan)
-        for first in range(0, len(nodes), _AT_ONCE):
-            part = nodes[first : first + _AT_ONCE]
+        for begin in range(0, len(nodes), _AT_ONCE):
+            chunk = nodes[begin : begin + _AT_ONCE]
             with suppress(np.linalg.LinAlgError):
-                rows[first : first + _AT_ONCE] = np.linalg.solve(normal[part] + ridge, right[part])
+                rows[begin : begin + _AT_ONCE] = np.linalg.solve(normal[chunk] + ridge, right[chunk])
         return rows
 
     def _quieten(self) -> None:
@@ -96,12 +96,15 @@ class GreitRows:
         targets, head_mm = self.targets, self.design.head_mm
         mesh = targets.mesh
         edge = cKDTree(mesh.nodes_mm[np.unique(mesh.outline)])
-        whole = np.flatnonzero(targets.of_head & (np.asarray(edge.query(targets.centres_mm)[0]) >= head_mm))
+        full_targets = np.flatnonzero(targets.of_head & (np.asarray(edge.query(targets.centres_mm)[0]) >= head_mm))
         rows = combine_widths(self._solve_rows(_USUAL, nodes), np.ones(len(nodes)))
-        error = np.abs(rows @ targets.signals[:, whole] - targets.target_images(mesh.nodes_mm[nodes], targets=whole))
-        away = mesh.nodes_mm[nodes][:, None] - targets.centres_mm[whole]
-        far = (away**2).sum(axis=2) > (_NEAR * head_mm) ** 2
-        loudest: Array = np.where(far, error, 0).max(axis=1, initial=0) * 2 * np.pi * self.design.head_variance_mm2
+        error = np.abs(
+            rows @ targets.signals[:, full_targets]
+            - targets.target_images(mesh.nodes_mm[nodes], targets=full_targets)
+        )
+        offsets_mm = mesh.nodes_mm[nodes][:, None] - targets.centres_mm[full_targets]
+        is_far = (offsets_mm**2).sum(axis=2) > (_NEAR * head_mm) ** 2
+        loudest: Array = np.where(is_far, error, 0).max(axis=1, initial=0) * 2 * np.pi * self.design.head_variance_mm2
         return loudest
 
     def matrix(self, rows: Array) -> Array:
@@ -117,12 +120,12 @@ class GreitRows:
 
 def combine_widths(solved: Array, width: Array) -> Array:
     """Rows (n, g) for a width of each node (n,), from rows for :data:`WIDTHS` (n, g, w): a cubic in log width."""
-    at, known = np.log(width), np.log(WIDTHS)
-    shares = np.ones((len(width), len(known)))
-    for own, here in enumerate(known):
-        for other in np.delete(known, own):
-            shares[:, own] *= (at - other) / (here - other)
-    rows: Array = np.einsum("ngw,nw->ng", solved, shares)
+    log_width, log_widths = np.log(width), np.log(WIDTHS)
+    basis = np.ones((len(width), len(log_widths)))
+    for column, knot in enumerate(log_widths):
+        for other_knot in np.delete(log_widths, column):
+            basis[:, column] *= (log_width - other_knot) / (knot - other_knot)
+    rows: Array = np.einsum("ngw,nw->ng", solved, basis)
     return rows
 
 
@@ -138,21 +141,21 @@ class _Fit:
         self._far_right = np.empty((len(nodes), count))
         self._share = np.empty(len(nodes))  # weight of the far errors
         close = neighbours(targets.centres_mm, nodes, near_mm)
-        for row, (node, around) in enumerate(zip(nodes, close, strict=True)):
-            weight = _weight(np.hypot(*(targets.centres_mm[around] - node).T) / near_mm)
-            here = signals[:, around] * weight
+        for row, (node, near_targets) in enumerate(zip(nodes, close, strict=True)):
+            weight = _weight(np.hypot(*(targets.centres_mm[near_targets] - node).T) / near_mm)
+            weighted_signals = signals[:, near_targets] * weight
             self._share[row] = 1 / (weight.sum() + _FAR**2 * signals.shape[1])
             self._far_right[row] = _FAR**2 * targets.target_images(node[None])[0] @ signals.T
-            near_right = here @ targets.target_images(node[None], WIDTHS, around)[0]
-            self.normal[row] = (here @ signals[:, around].T + self._far_normal) * self._share[row]
+            near_right = weighted_signals @ targets.target_images(node[None], WIDTHS, near_targets)[0]
+            self.normal[row] = (weighted_signals @ signals[:, near_targets].T + self._far_normal) * self._share[row]
             self.right[row] = (near_right + self._far_right[row][:, None]) * self._share[row]
         self._raised = np.ones(len(nodes))
 
     def raise_far(self, nodes: Indices) -> None:
         """Increase the weight of far errors in the rows of some nodes."""
-        more = (_RAISED - 1) * self._raised[nodes] * self._share[nodes]
-        self.normal[nodes] += more[:, None, None] * self._far_normal
-        self.right[nodes] += (more[:, None] * self._far_right[nodes])[..., None]
+        added_weight = (_RAISED - 1) * self._raised[nodes] * self._share[nodes]
+        self.normal[nodes] += added_weight[:, None, None] * self._far_normal
+        self.right[nodes] += (added_weight[:, None] * self._far_right[nodes])[..., None]
         self._raised[nodes] *= _RAISED
 
 

@@ -73,10 +73,10 @@ class _SoftMasks:
 
     def __init__(self, mesh: Mesh, centres_mm: Array, reach_mm: float) -> None:
         near = neighbours(mesh.nodes_mm, centres_mm, reach_mm)
-        most = max(len(nodes) for nodes in near)
-        self._node = np.array([np.pad(nodes, (0, most - len(nodes))) for nodes in near])
-        there = np.arange(most) < np.array([len(nodes) for nodes in near])[:, None]
-        self._mass = np.where(there, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
+        most_nodes = max(len(nodes) for nodes in near)
+        self._node = np.array([np.pad(nodes, (0, most_nodes - len(nodes))) for nodes in near])
+        is_node = np.arange(most_nodes) < np.array([len(nodes) for nodes in near])[:, None]
+        self._mass = np.where(is_node, node_areas_mm2(mesh)[self._node], 0.0)  # (t, most)
         self._away = mesh.nodes_mm[self._node] - centres_mm[:, None]
         self._square = (self._away**2).sum(axis=2)
         self._smallest = float(mesh.areas_mm2.mean())  # a mask of one node has zero width
@@ -162,8 +162,8 @@ def greit_matrix(problem: ImagingProblem, design: TargetDesign, hyperparameter: 
 
     NumericsError if λ is negative, not finite, or too small to determine the image, or a target affects no reading.
     """
-    kept = _recall_results(problem, design)
-    return kept.matrices.get(hyperparameter) or _Search(problem, design, kept).find_matrix(hyperparameter)
+    results = _recall_results(problem, design)
+    return results.matrices.get(hyperparameter) or _Search(problem, design, results).find_matrix(hyperparameter)
 
 
 @dataclass(frozen=True, eq=False)
@@ -183,10 +183,10 @@ class GreitChoice:
 
 def hyperparameter_for(problem: ImagingProblem, design: TargetDesign, noise_figure: float) -> GreitChoice:
     """Find the λ whose matrix has a noise figure, to 1 in 1000; NumericsError names the range otherwise."""
-    kept = _recall_results(problem, design)
-    if noise_figure not in kept.chosen:
-        kept.chosen[noise_figure] = _Search(problem, design, kept).for_noise_figure(noise_figure)
-    return kept.chosen[noise_figure]
+    results = _recall_results(problem, design)
+    if noise_figure not in results.chosen:
+        results.chosen[noise_figure] = _Search(problem, design, results).for_noise_figure(noise_figure)
+    return results.chosen[noise_figure]
 
 
 @dataclass(frozen=True, eq=False)
@@ -206,11 +206,11 @@ def _recall_results(problem: ImagingProblem, design: TargetDesign) -> _Kept:
         digest.update(np.ascontiguousarray(values).tobytes())
     digest.update(b"" if variance is None else variance.tobytes())
     key = digest.digest(), design
-    kept = _PROBLEMS.setdefault(key, _Kept())
+    results = _PROBLEMS.setdefault(key, _Kept())
     _PROBLEMS.move_to_end(key)
     while len(_PROBLEMS) > _KEPT:
         _PROBLEMS.popitem(last=False)
-    return kept
+    return results
 
 
 class _Search:
@@ -234,10 +234,10 @@ class _Search:
         self._seen = {}
         ends = self._ends(target) if np.isfinite(target) and target > 0 else None
         if ends is None:
-            reached = [self._figure(value) for value in (_HIGHEST, _LOWEST)]
+            reached_figures = [self._figure(value) for value in (_HIGHEST, _LOWEST)]
             raise NumericsError(
                 f"noise figure {target} cannot be reached by greit; this problem allows"
-                f" {reached[0]:.3g} to {reached[1]:.3g}",
+                f" {reached_figures[0]:.3g} to {reached_figures[1]:.3g}",
                 remedy="give a noise figure in that range, or the hyperparameter itself",
             )
 
@@ -251,7 +251,7 @@ class _Search:
         value = exactly.get(root, float(np.exp(root)))
         self._seen[value] = self.find_matrix(value).noise_figure  # and its matrix is cached
         searched = np.array(sorted(self._seen))
-        return GreitChoice(value, searched, np.array([self._seen[each] for each in searched]))
+        return GreitChoice(value, searched, np.array([self._seen[hyperparameter] for hyperparameter in searched]))
 
     def _figure(self, hyperparameter: float) -> float:
         """Noise figure of a λ, cached for the search."""

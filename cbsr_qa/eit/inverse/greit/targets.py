@@ -18,7 +18,7 @@ from cbsr_qa.eit.forward.elements import reaches_mm
 from cbsr_qa.eit.inverse.noise_figures import target_radius_mm
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-#: The contour of a target's image that equals its outline: the mask used to judge.
+#: Level, over the peak, at which the contour of a target's image equals its outline: the mask used to judge.
 CONTOUR: Final = 0.85
 _CLOSEST: Final = 0.35  # of the head's radius: closer targets add nothing
 _RESOLVED: Final = 1.5  # edges of the image's elements per width of the head: below, its image is not Gaussian
@@ -37,7 +37,7 @@ class TargetDesign:
     Parameters
     ----------
     head_mm : radius of the indenter.
-    radii_mm : of all targets, rising; the head's is one of them.
+    radii_mm : radii of all targets, rising; the head's is one of them.
     """
 
     head_mm: float
@@ -56,8 +56,8 @@ class TargetDesign:
             the head, or the head narrower than 1.5 edges of the image's elements.
         """
         head = target_radius_mm(problem) if head_diameter_mm is None else head_diameter_mm / 2
-        others = (head * 8 / 13, head * 20 / 13) if diameters_mm is None else (d / 2 for d in diameters_mm)
-        radii = tuple(sorted({head, *others}))
+        other_radii_mm = (head * 8 / 13, head * 20 / 13) if diameters_mm is None else (d / 2 for d in diameters_mm)
+        radii = tuple(sorted({head, *other_radii_mm}))
         largest = _WIDEST * problem.sensor_type.radius_mm
         for radius in (head, *radii):
             if not 0 < radius <= largest:
@@ -84,10 +84,10 @@ class Targets:
 
     Parameters
     ----------
-    mesh : of the image, n nodes.
+    mesh : mesh of the image, n nodes.
     centres_mm : (t, 2) float64.
     variance_mm2 : (t,) float64, second moment of each one's image.
-    head_variance_mm2 : the same of a target of the head's size.
+    head_variance_mm2 : the same variance for a target of the head's size.
     of_head : (t,) bool, those of the head's own size.
     signals : (g, t) float64, folded readings of unit variance.
     """
@@ -149,14 +149,14 @@ def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesig
     mesh, nodes = problem.mesh, problem.mesh.nodes_mm
     centres = nodes[_apart(nodes, _CLOSEST * design.head_mm)]
     white = fold.rows(problem.jacobian) / np.sqrt(fold.variance)[:, None]
-    parts = [disc_signals(white, mesh, centres, radius) for radius in design.radii_mm]
-    signals, count = np.hstack(parts), len(centres)
+    signals_by_radius = [disc_signals(white, mesh, centres, radius) for radius in design.radii_mm]
+    signals, count = np.hstack(signals_by_radius), len(centres)
     if not (signals != 0).any(axis=0).all():
         raise NumericsError("greit: no remaining reading responds to a target", remedy="repair the masked channels")
     radii = np.repeat(design.radii_mm, count)
     return Targets(
         mesh,
-        np.tile(centres, (len(parts), 1)),
+        np.tile(centres, (len(signals_by_radius), 1)),
         np.array([design.variance_mm2(radius) for radius in radii]),
         design.head_variance_mm2,
         radii == design.head_mm,
@@ -185,8 +185,8 @@ def node_areas_mm2(mesh: Mesh) -> Array:
 
 def neighbours(points_mm: Array, places_mm: Array, reach_mm: float) -> list[Indices]:
     """For each place the indices of the points within reach, rising."""
-    within: Any = cKDTree(points_mm).query_ball_point(places_mm, reach_mm, return_sorted=True)
-    return [np.asarray(near, dtype=np.int64) for near in within]
+    indices_by_place: Any = cKDTree(points_mm).query_ball_point(places_mm, reach_mm, return_sorted=True)
+    return [np.asarray(near, dtype=np.int64) for near in indices_by_place]
 
 
 def _apart(nodes: Array, distance: float) -> Indices:

@@ -27,7 +27,7 @@ from cbsr_qa.eit.inverse.overlap import overlap_fractions
 from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
-#: Steps allowed; three to six suffice.
+#: Largest number of steps; three to six suffice.
 MOST_STEPS: Final = 20
 #: Remaining decrease of Φ at convergence: a hundredth of a standard deviation, or a millionth of Φ.
 TOLERANCE: Final = 1e-4
@@ -100,9 +100,11 @@ class SolvedSheet:
 
     def jacobian(self) -> Array:
         """Change of the readings per change of ln γ and ln z, (g, e + electrodes)."""
-        inside = self.model.jacobian_rows(self.drive, self.measure) @ self.share
+        conductance_rows = self.model.jacobian_rows(self.drive, self.measure) @ self.share
         contacts = self.model.contact_jacobian()[self.drive, self.measure]
-        return np.hstack([inside * np.exp(self.state.log_conductance), contacts * np.exp(self.state.log_contact)])
+        return np.hstack(
+            [conductance_rows * np.exp(self.state.log_conductance), contacts * np.exp(self.state.log_contact)]
+        )
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -200,12 +202,12 @@ class Linearised:
 
     def step(self, wanted: Array, place: "_Place") -> tuple[Array, Array, float]:
         """Step of θ and of w towards readings, and the fall of Φ it promises."""
-        left = wanted - self.readings + self.jacobian @ place.away
-        coefficients = linalg.cho_solve(self._factor, left)
+        residual = wanted - self.readings + self.jacobian @ place.away
+        coefficients = linalg.cho_solve(self._factor, residual)
         step = self.back @ coefficients - place.away
         weights = self.jacobian.T @ coefficients - place.weights
-        seen = self.jacobian @ step
-        return step, weights, float(seen @ (seen / self.variance) + weights @ step)
+        reading_step = self.jacobian @ step
+        return step, weights, float(reading_step @ (reading_step / self.variance) + weights @ step)
 
     def contact_error(self) -> Array:
         """Standard deviations of ln z after the readings are known, (electrodes,)."""
@@ -237,32 +239,32 @@ def most_probable_state(
 
     NumericsError if no step lowers Φ, or steps run out, before it is within ``TOLERANCE``; or if Φ is not finite.
     """
-    origin, here, variance = start.solved.state, start, start.variance
+    origin, linearised, variance = start.solved.state, start, start.variance
     place = _Place(np.zeros(len(origin.unknowns)), np.zeros(len(origin.unknowns)))
-    cost = _misfit(here.readings, wanted, variance)
+    cost = _misfit(linearised.readings, wanted, variance)
     fall = np.inf
     for number in range(most_steps):
         with np.errstate(all="ignore"):  # non-finite values are refused here
-            step, weights, fall = here.step(wanted, place)
+            step, weights, fall = linearised.step(wanted, place)
         if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
             raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
         if fall <= TOLERANCE + _SHARE * cost:
-            return _describe_state(here, wanted, number)
+            return _describe_state(linearised, wanted, number)
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
         for _ in range(_HALVINGS):
-            tried = place.step(step, weights, length)
+            trial_place = place.step(step, weights, length)
             try:
-                solved = model.solve(origin.step(tried.away))
+                solved = model.solve(origin.step(trial_place.away))
             except ValueRangeError:  # states this far out have no readings
-                lower = np.inf
+                trial_cost = np.inf
             else:
-                lower = _misfit(solved.readings(), wanted, variance) + tried.cost()
-            if lower <= cost - _LEAST_FALL * length * fall:
+                trial_cost = _misfit(solved.readings(), wanted, variance) + trial_place.cost()
+            if trial_cost <= cost - _LEAST_FALL * length * fall:
                 break
             length /= 2
         else:
             raise _refuse_unconverged(number + 1, fall, "no step lowers the misfit")
-        place, cost, here = tried, lower, Linearised(solved, prior, variance)
+        place, cost, linearised = trial_place, trial_cost, Linearised(solved, prior, variance)
     raise _refuse_unconverged(most_steps, fall, "steps ran out")
 
 
@@ -272,11 +274,11 @@ def _misfit(readings: Array, wanted: Array, variance: Array) -> float:
 
 
 def _describe_state(here: Linearised, wanted: Array, steps: int) -> FoundState:
-    apart = here.readings - wanted
+    residual = here.readings - wanted
     return FoundState(
         here.solved,
         _misfit(here.readings, wanted, here.variance) / len(wanted),
-        float(np.linalg.norm(apart) / np.linalg.norm(wanted)),
+        float(np.linalg.norm(residual) / np.linalg.norm(wanted)),
         here.contact_error(),
         steps,
     )

@@ -70,9 +70,9 @@ class AbsoluteImages:
 
     Parameters
     ----------
-    choice : of the spread of loads, which regularises together with the noise.
+    choice : choice of the spread of loads, which regularises together with the noise.
     reference : the unloaded sheet's state; nominal if its readings are unknown.
-    scale : of the readings over those of a sheet of this state.
+    scale : ratio of the readings to those of a sheet of this state.
     before_load : the reference, linearised, with the prior ``load``.
     """
 
@@ -95,16 +95,16 @@ class AbsoluteImages:
         model = SheetModel(problem, expected.mesh_size)
         variance = expected.deviation(problem) ** 2 * model.fold.variance
         reference, scale = _reference_state(problem, expected, model, variance)
-        spread, how = expected.choose_spread(problem)
+        spread, description = expected.choose_spread(problem)
         length_mm = expected.load_length * problem.sensor_type.radius_mm
         # A contact changes as little as conductance does; otherwise it would explain too much.
-        load = SheetPrior.from_mesh(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
-        before = Linearised(reference.solved, load, variance)
-        figure = _noise_figure(problem, model, before)
-        how = f"{how}; {_describe_reference(problem, reference)}"
+        load_prior = SheetPrior.from_mesh(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
+        linearised = Linearised(reference.solved, load_prior, variance)
+        figure = _noise_figure(problem, model, linearised)
+        description = f"{description}; {_describe_reference(problem, reference)}"
         criterion = "noise-figure" if expected.load_spread is None else "given"
-        choice = ParameterChoice(spread, how, figure, "spread of ln γ under loads", criterion=criterion)
-        return cls(method, problem, choice, expected, model, reference, scale, before, load)
+        choice = ParameterChoice(spread, description, figure, "spread of ln γ under loads", criterion=criterion)
+        return cls(method, problem, choice, expected, model, reference, scale, linearised, load_prior)
 
     def images(self, changes: Array) -> Array:
         """Relative conductance changes (n, e) against the reference's state, of scaled changes (n, m).
@@ -172,14 +172,14 @@ def _reference_state(
     if problem.measured is None:
         state = most_probable_state(model, nominal, nominal.readings, prior)
         return state, 1.0
-    wanted = model.fold.fold(check_readings(problem.measured[None], problem))[0]
-    scale = float(wanted @ nominal.readings / (nominal.readings @ nominal.readings))
+    measured = model.fold.fold(check_readings(problem.measured[None], problem))[0]
+    scale = float(measured @ nominal.readings / (nominal.readings @ nominal.readings))
     if not scale > 0:
         raise NumericsError(
             "the reference readings are uncorrelated with the model's, or have the opposite polarity",
             remedy="check the electrode numbering of the sensor type and that the source was on",
         )
-    state = most_probable_state(model, nominal, wanted / scale, prior, most_steps=expected.iterations)
+    state = most_probable_state(model, nominal, measured / scale, prior, most_steps=expected.iterations)
     _check_explained(state, "the reference")
     return state, scale
 

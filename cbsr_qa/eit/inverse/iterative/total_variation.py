@@ -27,7 +27,7 @@ from cbsr_qa.eit.inverse.priors import neighbour_differences
 
 #: Relative duality gap at which an image is accepted as the minimiser.
 TOLERANCE: Final = 1e-5
-#: Steps allowed; fifteen suffice.
+#: Largest number of steps; fifteen suffice.
 MOST_STEPS: Final = 60
 _BALANCED = 1e-7  # largest deviation from Aᵀ(Ax − y) + Dᵀp = 0 for a meaningful gap, of Aᵀy
 _SHY = 0.99  # of the way to the boundary
@@ -54,7 +54,7 @@ class TotalVariation:
 
     Parameters
     ----------
-    mesh : of the image, e elements.
+    mesh : mesh of the image, e elements.
     rows : (m, e) A, whitened.
     tolerance : duality gap, of the objective.
     most_steps : allowed.
@@ -88,18 +88,18 @@ class TotalVariation:
         state = _State.beginning(self._rows.shape[1], self._jumps.shape[0], readings, alpha)
         pull, steps = float(np.abs(self._rows.T @ readings).max()), 0
         while True:
-            here = _Here.evaluate(state, self._rows, self._jumps, readings)
-            gap, apart = here.gap(alpha, readings), float(np.abs(here.imbalance).max()) / pull
-            if abs(gap) <= self._tolerance and apart <= _BALANCED and np.isfinite(state.image).all():
-                return TvImage(state.image, float(here.residual @ here.residual), gap, steps)
+            evaluation = _Here.evaluate(state, self._rows, self._jumps, readings)
+            gap, imbalance = evaluation.gap(alpha, readings), float(np.abs(evaluation.imbalance).max()) / pull
+            if abs(gap) <= self._tolerance and imbalance <= _BALANCED and np.isfinite(state.image).all():
+                return TvImage(state.image, float(evaluation.residual @ evaluation.residual), gap, steps)
             if steps == self._most_steps:
                 break
             try:
-                state = self._step(state, here, alpha)
+                state = self._step(state, evaluation, alpha)
             except (RuntimeError, ValueError):  # singular to rounding, or no longer finite
                 break
             steps += 1
-        why = self._why_not_converged(gap, apart)
+        why = self._why_not_converged(gap, imbalance)
         raise NumericsError(
             f"total variation did not converge: after {steps} of {self._most_steps} steps {why}",
             remedy="raise the hyperparameter, or "
@@ -146,9 +146,9 @@ class TotalVariation:
         weights = 1 / (state.up / (alpha - state.dual) + state.down / (alpha + state.dual))
         newton = _Newton(self._rows, self._jumps, self._graph.laplacian(weights), weights)
         predicted = _direction(newton, state, here, alpha, 0.0, 0.0)
-        before = state.complementarity(alpha)
-        after = state.step(predicted, state.room(predicted, alpha)).complementarity(alpha)
-        centring = before * (after / before) ** 3
+        complementarity = state.complementarity(alpha)
+        predicted_complementarity = state.step(predicted, state.room(predicted, alpha)).complementarity(alpha)
+        centring = complementarity * (predicted_complementarity / complementarity) ** 3
         corrected = _direction(
             newton,
             state,
@@ -221,9 +221,9 @@ class _Here:
     @classmethod
     def evaluate(cls, state: _State, rows: Array, jumps: sparse.csr_matrix, readings: Array) -> "_Here":
         residual = rows @ state.image - readings
-        across = jumps @ state.image
+        jump = jumps @ state.image
         imbalance = rows.T @ residual + jumps.T @ state.dual
-        return cls(residual, imbalance, across - state.up + state.down, across)
+        return cls(residual, imbalance, jump - state.up + state.down, jump)
 
     def gap(self, alpha: float, readings: Array) -> float:
         """Return P − D of P, where D(r) = −½‖r‖² − rᵀy for the residual r that p balances."""
@@ -236,14 +236,14 @@ def _direction(
     newton: "_Newton", state: _State, here: _Here, alpha: float, up_wanted: Array | float, down_wanted: Array | float
 ) -> _State:
     """Newton step towards given products u (α − p) and v (α + p)."""
-    above, below = alpha - state.dual, alpha + state.dual
-    shift = here.mismatch + (down_wanted / below - state.down) - (up_wanted / above - state.up)
+    upper_slack, lower_slack = alpha - state.dual, alpha + state.dual
+    shift = here.mismatch + (down_wanted / lower_slack - state.down) - (up_wanted / upper_slack - state.up)
     image = newton.solve(-here.imbalance - newton.jumps.T @ (newton.weights * shift))
     dual = newton.weights * (newton.jumps @ image + shift)
     return _State(
         image,
-        (up_wanted - state.up * above + state.up * dual) / above,
-        (down_wanted - state.down * below - state.down * dual) / below,
+        (up_wanted - state.up * upper_slack + state.up * dual) / upper_slack,
+        (down_wanted - state.down * lower_slack - state.down * dual) / lower_slack,
         dual,
     )
 
@@ -277,10 +277,10 @@ class _Graph:
 
     @classmethod
     def from_jumps(cls, jumps: sparse.csr_matrix) -> "_Graph":
-        first, second = jumps.indices.reshape(-1, 2).T.astype(np.int64)
+        first_node, second_node = jumps.indices.reshape(-1, 2).T.astype(np.int64)
         a, b = jumps.data.reshape(-1, 2).T
-        row = np.concatenate([first, second, first, second])
-        column = np.concatenate([first, second, second, first])
+        row = np.concatenate([first_node, second_node, first_node, second_node])
+        column = np.concatenate([first_node, second_node, second_node, first_node])
         count = jumps.shape[1]
         keys, place = np.unique(column * count + row, return_inverse=True)
         starts = np.searchsorted(keys, np.arange(count + 1) * count)
@@ -289,12 +289,12 @@ class _Graph:
 
     def laplacian(self, weights: Array) -> _Laplacian:
         entries = np.bincount(self.place, self.size * np.tile(weights, 4))
-        held = float(entries.max())
-        entries[self.corner] += held
+        ground = float(entries.max())
+        entries[self.corner] += ground
         count = len(self.starts) - 1
         matrix = sparse.csc_matrix((entries, self.rows, self.starts), shape=(count, count))
         factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, options={"SymmetricMode": True})
-        return _Laplacian(held, factors.solve)
+        return _Laplacian(ground, factors.solve)
 
 
 class _Newton:
@@ -311,10 +311,10 @@ class _Newton:
         self._core = linalg.lu_factor(core)
 
     def solve(self, right: Array) -> Array:
-        first = self._once(right)
-        left = right - self._rows.T @ (self._rows @ first)
-        left -= self.jumps.T @ (self.weights * (self.jumps @ first))
-        return first + self._once(left)
+        estimate = self._once(right)
+        residual = right - self._rows.T @ (self._rows @ estimate)
+        residual -= self.jumps.T @ (self.weights * (self.jumps @ estimate))
+        return estimate + self._once(residual)
 
     def _once(self, right: Array) -> Array:
         guess = self._laplacian.solve(right)

@@ -37,7 +37,7 @@ class WhiteReadings:
 
     Parameters
     ----------
-    deviation : (g,) of the folded readings, relative.
+    deviation : (g,) relative deviation of the folded readings.
     rows : (g, e), the Jacobian of white readings.
     """
 
@@ -62,7 +62,7 @@ class TotalVariationImages:
 
     Parameters
     ----------
-    choice : of α.
+    choice : choice of α.
     minimise : prepared for the problem's mesh and readings.
     variance : noise that α was chosen for, of a reading of unit relative variance; None if unknown.
     """
@@ -109,10 +109,10 @@ class TotalVariationImages:
         white = self.readings.white(check_readings(changes, self.problem))
         images = [self.minimise.image(frame, self.choice.value) for frame in white]
         if self.variance is not None:
-            left = np.sqrt([image.residual / (white.shape[1] * self.variance) for image in images])
-            for frame in np.flatnonzero(left > _UNEXPLAINED)[:1]:
+            ratios = np.sqrt([image.residual / (white.shape[1] * self.variance) for image in images])
+            for frame in np.flatnonzero(ratios > _UNEXPLAINED)[:1]:
                 raise NumericsError(
-                    f"no image explains frame {frame}: the residual is {left[frame]:.0f} times the expected noise",
+                    f"no image explains frame {frame}: the residual is {ratios[frame]:.0f} times the expected noise",
                     remedy="set noise_dB to the noise of the readings, or check geometry and channels",
                 )
         return images
@@ -166,7 +166,7 @@ def _choose_alpha(
     )
     simulated = simulate_evidence(coarse, _DRAWS, _FRAMES)
     assert simulated.variance is not None
-    louder = 10 ** ((NOISE_DB - noise_dB) / 20)
+    noise_ratio = 10 ** ((NOISE_DB - noise_dB) / 20)
     looks = problem.sample is not None and given is None
     evidence = evidence_of(replace(coarse, sample=problem.sample)) if looks else simulated
     if given is not None:
@@ -174,14 +174,14 @@ def _choose_alpha(
     elif looks:
         value, how, variance = _alpha_of_discrepancy(coarse, evidence), _SAID + evidence.words, evidence.variance
     else:
-        value = float(f"{louder * _alpha_of_discrepancy(coarse, evidence):.6g}")
-        how, variance = _SAID + evidence.words, louder**2 * simulated.variance
-        how += "" if louder == 1 else f", times {louder:.3g} for noise of {noise_dB:g} dB"
+        value = float(f"{noise_ratio * _alpha_of_discrepancy(coarse, evidence):.6g}")
+        how, variance = _SAID + evidence.words, noise_ratio**2 * simulated.variance
+        how += "" if noise_ratio == 1 else f", times {noise_ratio:.3g} for noise of {noise_dB:g} dB"
     # Scaling target and noise scales the image: if α holds for one, factor · α holds for the other.
-    figure, error = _noise_figure(coarse, value / louder, simulated)
+    figure, error = _noise_figure(coarse, value / noise_ratio, simulated)
     how += (
         f"; noise figure {figure:.2f} ± {error:.2f} by {_DRAWS} draws (seed {SEED}) at"
-        f" {100 * louder * CONTRAST:.3g}% contrast, on elements of {size_mm:.3g} mm"
+        f" {100 * noise_ratio * CONTRAST:.3g}% contrast, on elements of {size_mm:.3g} mm"
     )
     criterion = "discrepancy" if given is None else "given"
     return ParameterChoice(value, how, figure, "α", criterion=criterion), variance

@@ -50,9 +50,9 @@ REPEATS: Final = 7
 
 def time_call(run: Callable[[], T]) -> tuple[T, float]:
     """Run once and return the result and the processor time [s]; with several threads, the sum over them."""
-    before = time.process_time()
+    start_s = time.process_time()
     result = run()
-    return result, time.process_time() - before
+    return result, time.process_time() - start_s
 
 
 def fastest_s(run: Callable[[], object], repeats: int = REPEATS) -> float:
@@ -78,7 +78,7 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
     Parameters
     ----------
     electrodes : ``"arc"`` or ``"pin"``.
-    order : of the elements.
+    order : order of the elements.
     size_mm : edge length far from the electrodes.
     """
     sensor, contact_mm = _disc(), _PIN_CONTACT_MM
@@ -124,23 +124,23 @@ def _model(sensor: SensorType, contact_mm: float, order: int, size_mm: float) ->
 
 
 def _arc_errors(model: ForwardModel) -> dict[str, float]:
-    share, contrast = _INCLUSION
-    covered = cover(model.elements, RoundFootprint(0.0, 0.0, share * _disc().radius_mm))
+    radius_share, contrast = _INCLUSION
+    covered = cover(model.elements, RoundFootprint(0.0, 0.0, radius_share * _disc().radius_mm))
     included = model.with_change_on(covered.elements, covered.change(model.conductance, contrast - 1))
     return {
         "voltage_error": _error(model, model.readings(_exact_arcs(0.0))),
-        "voltage_error_inclusion": _error(included, model.readings(_exact_arcs(share))),
+        "voltage_error_inclusion": _error(included, model.readings(_exact_arcs(radius_share))),
     }
 
 
 def _pin_errors(model: ForwardModel) -> dict[str, float]:
-    local, used = LocalUpdate(model), model.pattern.usable()
+    local, is_usable = LocalUpdate(model), model.pattern.usable()
     reference, errors = model.voltages(), []
     unloaded, changes = _exact_pins()
     for (x_mm, y_mm), exact in zip(NINE_LOCATIONS_MM, changes, strict=True):
         covered = cover(model.elements, RoundFootprint(x_mm, y_mm, _HEAD_MM))
         pressed = local.voltages(covered.elements, covered.change(model.conductance, _CONTRAST))
-        errors.append(np.linalg.norm((pressed - reference)[used] - exact) / np.linalg.norm(exact))
+        errors.append(np.linalg.norm((pressed - reference)[is_usable] - exact) / np.linalg.norm(exact))
     return {
         "voltage_error": _error(model, model.readings(unloaded)),
         "load_signal_error": float(np.mean(errors)),
@@ -148,8 +148,8 @@ def _pin_errors(model: ForwardModel) -> dict[str, float]:
 
 
 def _error(model: ForwardModel, exact: Array) -> float:
-    used = model.pattern.usable()
-    return float(np.linalg.norm((model.voltages() - exact)[used]) / np.linalg.norm(exact[used]))
+    is_usable = model.pattern.usable()
+    return float(np.linalg.norm((model.voltages() - exact)[is_usable]) / np.linalg.norm(exact[is_usable]))
 
 
 @cache

@@ -82,8 +82,8 @@ def list_methods() -> Iterator[MethodSetting]:
         except CbsrError:
             continue
         one_matrix = get_type_hints(getattr(factory, "prepare", object)).get("return") is LinearReconstruction
-        known = options_of(factory).model_fields if one_matrix else {}
-        yield MethodSetting(name, (), next((option for option in FACTORS if option in known), ""))
+        known_options = options_of(factory).model_fields if one_matrix else {}
+        yield MethodSetting(name, (), next((option for option in FACTORS if option in known_options), ""))
 
 
 def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
@@ -157,8 +157,8 @@ def _linearise(sensor_type: SensorType, image_size_mm: float) -> None:
 def make_method(method: MethodSetting, **instead: float) -> Reconstruction:
     """The method with its options; a given option replaces those by which λ is chosen."""
     options = {name: value for name, value in method.options if not (instead and name in _CHOOSING)}
-    made: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
-    return made
+    method_instance: Reconstruction = discover().factory(Kind.RECONSTRUCTION, method.name)(**options, **instead)
+    return method_instance
 
 
 def _problem(image_size_mm: float = USUAL_IMAGE_SIZE_MM, seeds: int = 1) -> ImagingProblem:
@@ -184,11 +184,11 @@ def _prepare_smoothed(method: MethodSetting, value: float, problem: ImagingProbl
     """The method with a given λ, or number of components."""
     if method.smoothing != "components":
         return make_method(method, **{method.smoothing: value}).prepare(problem)
-    whole = max(1, round(value))
+    component_count = max(1, round(value))
     try:
-        return make_method(method, components=whole).prepare(problem)
+        return make_method(method, components=component_count).prepare(problem)
     except NumericsError:  # a pair of components: an adjacent count splits no pair
-        return make_method(method, components=whole + 1).prepare(problem)
+        return make_method(method, components=component_count + 1).prepare(problem)
 
 
 def precision_point(precision: str, batch: int) -> Point:
@@ -201,8 +201,8 @@ def precision_point(precision: str, batch: int) -> Point:
     block = np.resize(changes, (batch, changes.shape[1]))
     apply = make_imager(matrix, precision)
     exact = changes.astype(np.longdouble) @ matrix.astype(np.longdouble).T
-    parts = [changes[first : first + batch] for first in range(0, len(changes), batch)]
-    images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in parts]
+    batches = [changes[first : first + batch] for first in range(0, len(changes), batch)]
+    images = [apply(np.resize(part, (batch, changes.shape[1])))[: len(part)] for part in batches]
     size = np.dtype(precision).itemsize
     return Point(
         TimeBasis.COMPUTER,
@@ -220,10 +220,10 @@ def precision_point(precision: str, batch: int) -> Point:
 
 def make_imager(matrix: Array, precision: str) -> Callable[[Array], Floats]:
     """Return what images blocks of changes (n, m) in a precision: (n, e)."""
-    kept = np.ascontiguousarray(matrix.T, dtype=precision)
+    transposed = np.ascontiguousarray(matrix.T, dtype=precision)
 
     def apply(block: Array) -> Floats:
-        images: Floats = block.astype(precision, copy=False) @ kept
+        images: Floats = block.astype(precision, copy=False) @ transposed
         return images
 
     return apply
@@ -231,8 +231,8 @@ def make_imager(matrix: Array, precision: str) -> Callable[[Array], Floats]:
 
 def relative_error(images: Floats, exact: Floats) -> float:
     """Largest ‖x − x₀‖/‖x₀‖ of images (n, e)."""
-    apart, size = (np.sqrt((part**2).sum(axis=1)) for part in (images - exact, exact))
-    return float((apart / size).max())
+    error_norm, size = (np.sqrt((part**2).sum(axis=1)) for part in (images - exact, exact))
+    return float((error_norm / size).max())
 
 
 @cache

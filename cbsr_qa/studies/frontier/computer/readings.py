@@ -106,15 +106,19 @@ _FIGURES: Final[dict[str, tuple[str, str, Better]]] = {
 def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadings) -> dict[str, Accuracy]:
     """Return mean E_CoM, A_OL and SD over the nine places with standard errors, and the share of loads missed.
 
-    As a run of the shipped recipes does: changes against the mean of the reference frames, the noise floor of the
-    unloaded images subtracted, the 85 % mask bounded by a contour, the region nearest to the head.
+    The steps are those of a run with a shipped recipe: changes against the mean of the reference frames, the noise
+    floor of the unloaded images subtracted, the 85 % mask bounded by a contour, the region nearest to the head.
     """
-    seen = [_sensor(prepared, readings, number) for number in range(len(readings.loaded))]
-    found = [[figures for figures in sensor if figures is not None] for sensor in seen]
-    missed = [1 - len(some) / len(readings.heads) for some in found]
+    sensors = [_sensor(prepared, readings, number) for number in range(len(readings.loaded))]
+    figures_by_sensor = [[figures for figures in sensor if figures is not None] for sensor in sensors]
+    missed = [1 - len(sensor_figures) / len(readings.heads) for sensor_figures in figures_by_sensor]
     figures = {"missed": _mean(missed, "1")}
     for name, (attribute, unit, better) in _FIGURES.items():
-        means = [np.mean([getattr(each, attribute) for each in some]) for some in found if some]
+        means = [
+            np.mean([getattr(load_figures, attribute) for load_figures in sensor_figures])
+            for sensor_figures in figures_by_sensor
+            if sensor_figures
+        ]
         if means:
             figures[name] = _mean(means, unit, better)
     return figures
@@ -135,12 +139,12 @@ def _sensor(
     """Figures of each load of one sensor; None without a region."""
     quiet, loaded = sensor_changes(readings, number, prepared)
     floor = max(noise_floor(prepared.images(quiet)), _ROUNDING)
-    seen: list[SpatialFigures | None] = []
+    figures: list[SpatialFigures | None] = []
     for change, head in zip(loaded, readings.heads, strict=True):
         (image,) = prepared.images(change[None])  # one frame at a time, as on a rig: independent of its neighbours
         regions = contour_regions(Image(prepared.problem.mesh, subtract_noise_floor(image, floor)), _MASK)
-        seen += spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
-    return seen
+        figures += spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
+    return figures
 
 
 def _mean(values: Sequence[float], unit: str, better: Better = "less") -> Accuracy:

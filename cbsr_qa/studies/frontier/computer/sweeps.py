@@ -27,7 +27,7 @@ from cbsr_qa.studies.frontier.point import Knob, Point
 from cbsr_qa.studies.frontier.recommend import mark_worth
 from cbsr_qa.studies.sweep import Work
 
-# Of the whole sweep (False) and of the quick one (True).
+# Settings of the whole sweep (False) and of the quick one (True).
 _SEEDS: Final = {False: 8, True: 3}
 #: Sizes of elements [mm] by electrodes and order, coarse to fine.
 _SIZES_MM: Final[Mapping[bool, Mapping[tuple[str, int], tuple[float, ...]]]] = {
@@ -78,14 +78,14 @@ def worth_their_time(points: Sequence[Point]) -> list[Point]:
     Settings with one matrix of the same size do the same arithmetic: measured differences are chance, and each gets
     the lowest cost. A refused setting is never worth its time.
     """
-    measured = [point for point in points if point.compute_s is not None and point.accuracy]
-    least: dict[float, float] = {}
-    for point in measured:
+    measured_points = [point for point in points if point.compute_s is not None and point.accuracy]
+    least_cost_s: dict[float, float] = {}
+    for point in measured_points:
         size = _matrix_bytes(point)
-        least[size] = min(least.get(size, np.inf), point.compute_s or 0.0)
+        least_cost_s[size] = min(least_cost_s.get(size, np.inf), point.compute_s or 0.0)
 
     def common_cost_s(point: Point) -> float | None:
-        shared = least.get(_matrix_bytes(point)) if _matrix_bytes(point) else point.compute_s
+        shared = least_cost_s.get(_matrix_bytes(point)) if _matrix_bytes(point) else point.compute_s
         return shared if point.accuracy else None
 
     return mark_worth(points, common_cost_s)
@@ -106,8 +106,8 @@ def _method_work(series: str, method: MethodSetting, run: Callable[[], Point], s
 def _work(series: str, knobs: Mapping[str, Knob], run: Callable[[], Point], **more: Any) -> Work:
     setting = ", ".join(f"{name}={value}" for name, value in knobs.items())
     versions = {"cbsr-qa": cbsr_qa.__version__, "numpy": np.__version__, "scipy": scipy.__version__}
-    known = ", ".join(f"{name}={value}" for name, value in {"sweep": _VERSION, **versions, **more}.items())
-    return Work(f"computer; {series}; {setting}; {known}", f"{series}: {setting}", partial(_measure, run))
+    version_words = ", ".join(f"{name}={value}" for name, value in {"sweep": _VERSION, **versions, **more}.items())
+    return Work(f"computer; {series}; {setting}; {version_words}", f"{series}: {setting}", partial(_measure, run))
 
 
 def _measure(run: Callable[[], Point]) -> list[Point]:

@@ -24,20 +24,27 @@ def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], target_mm: flo
     """
     figure = canvas(3.1)
     error = plot(figure, (0.07, 0.14, 0.4, 0.74), "mean error of place [mm]", x="presses", grid="both")
-    held = plot(figure, (0.56, 0.14, 0.4, 0.74), "places inside their region [%]", x="presses", grid="both")
+    coverage = plot(figure, (0.56, 0.14, 0.4, 0.74), "places inside their region [%]", x="presses", grid="both")
     for number, (name, points) in enumerate(series):
         colour = _COLOURS[number % len(_COLOURS)]
         _draw(error, points, PLACE, colour, line="solid", label=name)
         for covered, look in (("covered_68", "solid"), ("covered_95", "dashed")):
-            _draw(held, points, covered, colour, scale=100, line=look)
+            _draw(coverage, points, covered, colour, scale=100, line=look)
     error.set_yscale("log")
     if target_mm is not None:
         error.axhline(target_mm, color=FAINT, linewidth=0.8, zorder=1)
-    for stated in (68, 95):
-        held.axhline(stated, color=INK, linewidth=0.8, zorder=1)
-        held.text(1.01, stated, f"{stated} %", transform=held.get_yaxis_transform(), va="center", fontsize=7)
-    held.set_ylim(min(40.0, held.get_ylim()[0]), 103)
-    for axis in (error.xaxis, held.xaxis, error.yaxis):
+    for level_percent in (68, 95):
+        coverage.axhline(level_percent, color=INK, linewidth=0.8, zorder=1)
+        coverage.text(
+            1.01,
+            level_percent,
+            f"{level_percent} %",
+            transform=coverage.get_yaxis_transform(),
+            va="center",
+            fontsize=7,
+        )
+    coverage.set_ylim(min(40.0, coverage.get_ylim()[0]), 103)
+    for axis in (error.xaxis, coverage.xaxis, error.yaxis):
         plain_ticks(axis, _TICKS)
     error.legend(frameon=False, fontsize=7, loc="lower left")
     return figure

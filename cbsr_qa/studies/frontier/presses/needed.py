@@ -15,13 +15,13 @@ PLACE: Final = "place_error"
 COVERED: Final = {"68": "covered_68", "95": "covered_95"}
 #: Least number of points for a power law: two parameters, and two to contradict them.
 _FEWEST_FITTED: Final = 4
-#: A law fits unless deviations as large as its own are less probable than this.
+#: Probability of deviations as large as a law's own, below which the law does not fit.
 _FITS: Final = 0.05
-#: Least exponent, over its standard error, of errors that decrease.
+#: Smallest ratio of the exponent to its standard error for errors that decrease.
 _FALLS: Final = 2.0
-#: Standard errors by which regions hold less than they state before that is said.
+#: Number of standard errors by which a region must hold less than it states to be reported.
 _CLEARLY: Final = 2.0
-#: Extrapolation is limited to this factor of the largest number tried.
+#: Largest extrapolation, as a factor of the largest number tried.
 _FURTHEST: Final = 8.0
 
 
@@ -33,35 +33,35 @@ def recommend_presses(points: Sequence[Point], target_mm: float | None) -> Recom
     points = sorted(points, key=_number)
     if not points:
         return Recommendation(None, None, None, "nothing was learned from presses drawn at random")
-    most = points[-1]
+    largest = points[-1]
     best = min(points, key=lambda point: point.accuracy[PLACE].value)
     error = best.accuracy[PLACE]
     if target_mm is None:
-        enough = [point for point in points if _alike(point.accuracy[PLACE], error)]
+        sufficient = [point for point in points if _alike(point.accuracy[PLACE], error)]
         why = "the fewest that no larger number beats by more than the joint standard error"
-        why += "; more presses may still be better" if enough[0] is most else ""
+        why += "; more presses may still be better" if sufficient[0] is largest else ""
     else:
-        enough = [point for point in points if point.accuracy[PLACE].upper <= target_mm]
-        asked = f"whose error of place, with its standard error, is at most {target_mm:g} mm"
-        why = f"the fewest of {len(points)} numbers that were tried {asked}"
-    if enough:
-        loose = loose_regions(enough[0].accuracy)
+        sufficient = [point for point in points if point.accuracy[PLACE].upper <= target_mm]
+        target_words = f"whose error of place, with its standard error, is at most {target_mm:g} mm"
+        why = f"the fewest of {len(points)} numbers that were tried {target_words}"
+    if sufficient:
+        loose_words = loose_regions(sufficient[0].accuracy)
         return Recommendation.from_point(
-            enough[0], f"{why}; but {loose}, so errors are stated too small" if loose else why
+            sufficient[0], f"{why}; but {loose_words}, so errors are stated too small" if loose_words else why
         )
     assert target_mm is not None  # without a target the best itself is enough
-    needed, words = extrapolate_presses(points, target_mm)
-    left = f"{_number(best)} of them leave {error.value:.2f} ± {error.stderr or 0.0:.2f} mm"
-    why = f"these presses do not reach {target_mm:g} mm: {left}; {words}"
+    needed, extrapolation = extrapolate_presses(points, target_mm)
+    reached = f"{_number(best)} of them leave {error.value:.2f} ± {error.stderr or 0.0:.2f} mm"
+    why = f"these presses do not reach {target_mm:g} mm: {reached}; {extrapolation}"
     return Recommendation(None, None, None, why, needed=needed)
 
 
 def loose_regions(accuracy: Mapping[str, Accuracy]) -> str:
     """Say which regions hold clearly fewer places than they state; empty where none do."""
-    held = ((level, accuracy[name]) for level, name in COVERED.items() if name in accuracy)
+    shares_by_level = ((level, accuracy[name]) for level, name in COVERED.items() if name in accuracy)
     return " and ".join(
         f"regions of {level} % hold {with_uncertainty(100 * share.value, 100 * (share.stderr or 0.0))} %"
-        for level, share in held
+        for level, share in shares_by_level
         if share.value + _CLEARLY * (share.stderr or 0.0) < float(level) / 100
     )
 
@@ -83,8 +83,8 @@ def extrapolate_presses(points: Sequence[Point], target_mm: float) -> tuple[Need
     law_words = f"errors fall with the number to the power of −{-power:.2f} ± {np.sqrt(covariance[0, 0]):.2f}"
     if high > _FURTHEST * _number(points[-1]):
         return None, f"{law_words}, by which more than {_FURTHEST:g} times as many might be needed: too far to tell"
-    words = f"{law_words}, by which about {middle} would ({low} to {high}: one standard error)"
-    return Needed(middle, low, high), words
+    description = f"{law_words}, by which about {middle} would ({low} to {high}: one standard error)"
+    return Needed(middle, low, high), description
 
 
 def _power_law(points: Sequence[Point]) -> tuple[Array, Array, float] | None:
@@ -98,13 +98,15 @@ def _power_law(points: Sequence[Point]) -> tuple[Array, Array, float] | None:
     if len(points) < _FEWEST_FITTED or not all(error.stderr and error.value > 0 for error in errors):
         return None
     logs = np.log([_number(point) for point in points])
-    wanted = np.log([error.value for error in errors])
+    log_errors = np.log([error.value for error in errors])
     weight = np.array([error.value / (error.stderr or 1.0) for error in errors])
-    parameters, covariance = np.polyfit(logs - logs.mean(), wanted, 1, w=weight, cov="unscaled")
-    misfit = np.square(weight * (np.polyval(parameters, logs - logs.mean()) - wanted)).sum()
-    falls = -parameters[0] > _FALLS * np.sqrt(covariance[0, 0])
+    parameters, covariance = np.polyfit(logs - logs.mean(), log_errors, 1, w=weight, cov="unscaled")
+    misfit = np.square(weight * (np.polyval(parameters, logs - logs.mean()) - log_errors)).sum()
+    error_falls = -parameters[0] > _FALLS * np.sqrt(covariance[0, 0])
     return (
-        (parameters, covariance, float(logs.mean())) if falls and chi2.sf(misfit, len(points) - 2) >= _FITS else None
+        (parameters, covariance, float(logs.mean()))
+        if error_falls and chi2.sf(misfit, len(points) - 2) >= _FITS
+        else None
     )
 
 

@@ -29,9 +29,9 @@ _READING: Final = (
 def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None) -> CommandOutcome[Frontier]:
     """Lay out accuracy against the number of presses of a recording called ``name``."""
     series = [
-        (each, [point for point in frontier.points if point.series == each])
-        for each in (AT_RANDOM, IN_ORDER)
-        if any(point.series == each for point in frontier.points)
+        (series_name, [point for point in frontier.points if point.series == series_name])
+        for series_name in (AT_RANDOM, IN_ORDER)
+        if any(point.series == series_name for point in frontier.points)
     ]
 
     def draw() -> str:
@@ -42,20 +42,20 @@ def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None)
     figure = Figure(_FIGURE, "Errors and coverage against the number of presses; the tables have the numbers.", draw)
     sections = (
         Section("How to read this page", (figure, *map(Paragraph, _READING)), page_only=True),
-        *(Section(f"Presses: {each}", tuple(_blocks(points))) for each, points in series),
+        *(Section(f"Presses: {series_name}", tuple(_blocks(points))) for series_name, points in series),
     )
     return CommandOutcome(frontier, _page(frontier, name), sections)
 
 
 def _page(frontier: Frontier, name: str) -> Page:
-    chosen = frontier.recommended
-    banner = Banner("plain", "–", "No number of presses recommended", chosen.why)
-    if chosen.setting is not None and chosen.accuracy is not None:
-        headline = f"{chosen.setting['presses']} presses: {_format_accuracy(chosen.accuracy[PLACE])} mm"
-        banner = Banner("pass", "✓", headline, chosen.why)
+    recommended = frontier.recommended
+    banner = Banner("plain", "–", "No number of presses recommended", recommended.why)
+    if recommended.setting is not None and recommended.accuracy is not None:
+        headline = f"{recommended.setting['presses']} presses: {_format_accuracy(recommended.accuracy[PLACE])} mm"
+        banner = Banner("pass", "✓", headline, recommended.why)
     facts = [("Recording", name)]
-    if chosen.station_s is not None:
-        facts.append(("Time of these presses", f"{duration(chosen.station_s)} at the pace of the table"))
+    if recommended.station_s is not None:
+        facts.append(("Time of these presses", f"{duration(recommended.station_s)} at the pace of the table"))
     if frontier.quick:
         facts.append(("Sweep", "quick: few draws"))
     return Page("Frontier", "What accuracy costs in presses", banner, tuple(facts))

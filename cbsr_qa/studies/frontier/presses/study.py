@@ -1,8 +1,8 @@
 """``cbsr-qa frontier --recording``: how accurate places become with the number of presses, and how many to make.
 
 Every draw is registered and learned from its own presses alone, as ``cbsr-qa calibrate`` would do with these, so that
-nothing of the presses located is known. Registering takes half the time of a draw of 39 presses and a tenth of one of
-400, which registering once on all presses would save.
+it uses no information from the presses that it locates. Registering takes half the time of a draw of 39 presses, and
+a tenth of one of 400; registering once on all presses would save this time.
 """
 
 from collections.abc import Iterator, Sequence
@@ -26,15 +26,15 @@ from cbsr_qa.studies.sweep import Tell
 
 AT_RANDOM: Final = "drawn at random"
 IN_ORDER: Final = "first of the session, locating its last"
-#: The smallest number that is tried, unless there are too few presses; further ones are about twice as large.
+#: Smallest number of presses tried, unless there are too few; each further number is about twice as large.
 _FIRST: Final = 9
-#: The largest: the time of learning grows with its cube.
+#: Largest number of presses tried: the time of learning grows with its cube.
 _MOST: Final = 2000
-#: Share of the presses that is left out at least, their smallest number, and how many of them are located.
+#: Least share and least number of the presses that are left out, and the largest number of them that are located.
 _LEFT_OUT: Final = 0.2
 _FEWEST_LOCATED: Final = 5
 _MOST_LOCATED: Final = 500
-#: Draws of a number: so many presses in all, within these bounds; of the quick sweep, and of the whole.
+#: Total of presses learned from over the draws of a number, and least and most draws: quick sweep (True) or whole.
 _LEARNED: Final = {True: 100, False: 400}
 _DRAWS: Final = {True: (1, 3), False: (2, 20)}
 
@@ -58,7 +58,7 @@ def press_frontier(
     ----------
     target_mm : largest mean error of place; without it the smallest number is recommended that no larger one surely
         beats.
-    quick : fewer draws, and one number of presses of the session's first part.
+    quick : True for fewer draws, and for one number of presses of the session's first part.
 
     Raises
     ------
@@ -68,23 +68,23 @@ def press_frontier(
         If readings and labels do not match.
     """
     labelled.check()
-    changed = np.any(labelled.readings.changes != 0, axis=1)
-    labelled = labelled.some(np.flatnonzero(changed))
+    has_change = np.any(labelled.readings.changes != 0, axis=1)
+    labelled = labelled.some(np.flatnonzero(has_change))
     draws = list(_draws(labelled, quick=quick))
-    tried: dict[tuple[str, int], list[Trial | str]] = {}
+    trials_by_draw: dict[tuple[str, int], list[Trial | str]] = {}
     for done, (series, presses, learned, located) in enumerate(draws):
         tell(done, len(draws), f"{len(learned)} presses, {series}")
-        tried.setdefault((series, len(learned)), []).append(_try_draw(presses, learned, located))
+        trials_by_draw.setdefault((series, len(learned)), []).append(_try_draw(presses, learned, located))
     tell(len(draws), len(draws), "")
     pace_s = _pace_s(labelled.presses.time_s)
-    unchanged = int((~changed).sum())
+    unchanged = int((~has_change).sum())
     note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
-    found = [_point(*key, trials, pace_s, note) for key, trials in tried.items()]
-    points = mark_worth([each for each in found if isinstance(each, Point)], _presses, [PLACE])
+    outcomes = [_point(*key, trials, pace_s, note) for key, trials in trials_by_draw.items()]
+    points = mark_worth([outcome for outcome in outcomes if isinstance(outcome, Point)], _presses, [PLACE])
     if not points:
-        raise RefusedError(f"nothing can be learned from any draw of these presses: {found[0]}")
-    chosen = recommend_presses([point for point in points if point.series == AT_RANDOM], target_mm)
-    return Frontier(quick, tuple(points), chosen)
+        raise RefusedError(f"nothing can be learned from any draw of these presses: {outcomes[0]}")
+    recommendation = recommend_presses([point for point in points if point.series == AT_RANDOM], target_mm)
+    return Frontier(quick, tuple(points), recommendation)
 
 
 def numbers_of(total: int) -> list[int]:
@@ -92,17 +92,17 @@ def numbers_of(total: int) -> list[int]:
 
     RefusedError if there are too few to learn from some and locate others.
     """
-    most = min(_MOST, total - _holdout_count(total))
-    if most < FEWEST_PRESSES:
+    largest = min(_MOST, total - _holdout_count(total))
+    if largest < FEWEST_PRESSES:
         raise RefusedError(
             f"{total} presses are too few to leave any out: {FEWEST_PRESSES} to learn from and {_FEWEST_LOCATED} to"
             " locate are needed",
             remedy="press at more places",
         )
-    if most <= _FIRST:
-        return [most]
-    steps = max(1, round(float(np.log2(most / _FIRST))))
-    return [round(number) for number in np.geomspace(_FIRST, most, steps + 1)]
+    if largest <= _FIRST:
+        return [largest]
+    steps = max(1, round(float(np.log2(largest / _FIRST))))
+    return [round(number) for number in np.geomspace(_FIRST, largest, steps + 1)]
 
 
 def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
@@ -115,16 +115,16 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
         for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
             random = np.random.default_rng([*b"presses", number, split])
             located = _draw_places(visits, _holdout_count(total), random)
-            others = random.permutation(np.setdiff1d(np.arange(total), located))
-            yield AT_RANDOM, timeless, others[:number], located[:_MOST_LOCATED]
+            learnable = random.permutation(np.setdiff1d(np.arange(total), located))
+            yield AT_RANDOM, timeless, learnable[:number], located[:_MOST_LOCATED]
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
-    early = [number for number in numbers if number <= total / 2]
-    for number in early[-1:] if quick else early:
-        learned, last = session[:number], session[-_holdout_count(total) :][-_MOST_LOCATED:]
-        last = last[~np.isin(visits[last], visits[learned])]
-        if len(last) >= _FEWEST_LOCATED:
-            yield IN_ORDER, labelled, learned, last
+    early_numbers = [number for number in numbers if number <= total / 2]
+    for number in early_numbers[-1:] if quick else early_numbers:
+        learned, latest = session[:number], session[-_holdout_count(total) :][-_MOST_LOCATED:]
+        latest = latest[~np.isin(visits[latest], visits[learned])]
+        if len(latest) >= _FEWEST_LOCATED:
+            yield IN_ORDER, labelled, learned, latest
 
 
 def _holdout_count(total: int) -> int:
@@ -157,44 +157,49 @@ def _pace_s(time_s: Array | None) -> float | None:
 
 def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None, note: str) -> Point | str:
     """Combine the draws of a number, or return why nothing could be learned from any."""
-    whole = [each for each in trials if isinstance(each, Trial)]
-    refused = [each for each in trials if isinstance(each, str)]
-    if not whole:
-        return refused[0]
-    failed = f"nothing learned from {len(refused)} of {len(trials)} draws: {refused[0]}" if refused else ""
+    completed = [trial for trial in trials if isinstance(trial, Trial)]
+    refusals = [trial for trial in trials if isinstance(trial, str)]
+    if not completed:
+        return refusals[0]
+    refusal_note = f"nothing learned from {len(refusals)} of {len(trials)} draws: {refusals[0]}" if refusals else ""
     accuracy = {
-        PLACE: _mean(whole, [each.error_mm for each in whole], "mm", "less"),
-        COVERED["68"]: _mean(whole, [each.inside[:, 0].astype(float) for each in whole], "1", "stated"),
-        COVERED["95"]: _mean(whole, [each.inside[:, 1].astype(float) for each in whole], "1", "stated"),
-        "in_model": _mean(whole, [each.in_model.astype(float) for each in whole], "1", "more"),
+        PLACE: _mean(completed, [trial.error_mm for trial in completed], "mm", "less"),
+        COVERED["68"]: _mean(completed, [trial.inside[:, 0].astype(float) for trial in completed], "1", "stated"),
+        COVERED["95"]: _mean(completed, [trial.inside[:, 1].astype(float) for trial in completed], "1", "stated"),
+        "in_model": _mean(completed, [trial.in_model.astype(float) for trial in completed], "1", "more"),
     }
     return Point(
         TimeBasis.PRESSES,
         series,
         {"presses": number},
         accuracy,
-        compute_s=float(np.median([each.frame_s for each in whole])),
+        compute_s=float(np.median([trial.frame_s for trial in completed])),
         station_s=None if pace_s is None else number * pace_s,
-        seeds=len(whole),
-        note="; ".join(filter(None, (failed, note, loose_regions(accuracy)))),
-        costs={"learning_s": float(np.median([each.learning_s for each in whole]))},
+        seeds=len(completed),
+        note="; ".join(filter(None, (refusal_note, note, loose_regions(accuracy)))),
+        costs={"learning_s": float(np.median([trial.learning_s for trial in completed]))},
     )
 
 
 def _mean(trials: Sequence[Trial], values: Sequence[Array], unit: str, better: Better) -> Accuracy:
     """Mean over draws, with a standard error of both: of draws, and of the presses that they locate.
 
-    Draws locate the same presses again and again, which are as many as there are different ones: of k draws with a
-    variance within draws σ² and one of their means s², it is √(max(0, s² − σ²/n)/k + σ²/N), where n presses are
-    located in a draw and N different ones in all. One draw cannot show what others would scatter by.
+    Draws locate the same presses repeatedly, and each press counts once: for k draws with a variance σ² within draws
+    and s² of their means, it is √(max(0, s² − σ²/n)/k + σ²/N), where n presses are located in a draw and N different
+    ones in all. One draw does not show how others would scatter.
     """
-    means = [float(each.mean()) for each in values]
-    within = float(np.mean([each.var(ddof=1) for each in values]))
-    different = len(np.unique(np.concatenate([each.located for each in trials])))
-    between = 0.0
+    means = [float(draw.mean()) for draw in values]
+    within_variance = float(np.mean([draw.var(ddof=1) for draw in values]))
+    press_count = len(np.unique(np.concatenate([draw.located for draw in trials])))
+    between_variance = 0.0
     if len(means) > 1:
-        between = max(0.0, float(np.var(means, ddof=1)) - within / len(trials[0].located))
-    return Accuracy(float(np.mean(means)), float(np.sqrt(between / len(means) + within / different)), unit, better)
+        between_variance = max(0.0, float(np.var(means, ddof=1)) - within_variance / len(trials[0].located))
+    return Accuracy(
+        float(np.mean(means)),
+        float(np.sqrt(between_variance / len(means) + within_variance / press_count)),
+        unit,
+        better,
+    )
 
 
 def _presses(point: Point) -> float:

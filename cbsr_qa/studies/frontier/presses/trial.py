@@ -54,5 +54,5 @@ def try_presses(labelled: LabelledPresses, learned: Indices, located: Indices) -
     places = locate(changes)
     error = true_mm - places.place_mm
     square = mahalanobis(error, places.covariance_mm2)
-    inside = square[:, None] <= [locate.q68, locate.q95]
-    return Trial(located, np.linalg.norm(error, axis=1), inside, places.in_model, learning_s, frame_s)
+    is_inside = square[:, None] <= [locate.q68, locate.q95]
+    return Trial(located, np.linalg.norm(error, axis=1), is_inside, places.in_model, learning_s, frame_s)

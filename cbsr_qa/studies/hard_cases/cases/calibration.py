@@ -41,23 +41,23 @@ _PROCESSES: Final = 12  # of a map, that are held against truth: fifty digits ta
 
 def line(x: Array, change: Array, stderr: Array | None = None) -> Answer:
     """Slope of a line through loads at six strains, against weighted least squares in fifty digits."""
-    given = None if stderr is None else stderr.tolist()
-    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), change.tolist(), given)
+    stderr_list = None if stderr is None else stderr.tolist()
+    fit = fit_quasi_static(_STRAINS.tolist(), x.tolist(), change.tolist(), stderr_list)
     weighted = x, change, np.ones_like(x) if stderr is None else stderr
     return answer_from_condition(relative_error(fit.slope, exact_line(*weighted)[0]), line_condition(*weighted))
 
 
 def response(places_mm: Array, log_response: Array, variance: Array) -> Answer:
     """Response predicted between loads by some of the processes, and how they are weighed against each other."""
-    wanted = np.array([[3.0, -4.0], [45.0, 0.0]])
+    query_places_mm = np.array([[3.0, -4.0], [45.0, 0.0]])
     learned = learn_response(places_mm, log_response, variance, radius_mm=50.0)
-    some = np.linspace(0, len(learned.weights) - 1, _PROCESSES).astype(int)
-    chosen = learned.weights[some] / learned.weights[some].sum()
-    partly = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in some), chosen)
-    mean, spread = partly.predict(wanted)
-    exact_mean, exact_spread = exact_map(partly, places_mm, log_response, variance, wanted)
+    selected = np.linspace(0, len(learned.weights) - 1, _PROCESSES).astype(int)
+    weights = learned.weights[selected] / learned.weights[selected].sum()
+    partial_map = ResponseMap(learned.places_mm, tuple(learned.members[k] for k in selected), weights)
+    mean, spread = partial_map.predict(query_places_mm)
+    exact_mean, exact_spread = exact_map(partial_map, places_mm, log_response, variance, query_places_mm)
     error = max(largest_relative_error(mean, exact_mean), largest_relative_error(spread, exact_spread))
-    condition = map_condition(partly, places_mm, variance)
+    condition = map_condition(partial_map, places_mm, variance)
     return answer_from_condition(error, condition, note=f"{_PROCESSES} of {len(learned.weights)} processes compared")
 
 
@@ -102,8 +102,8 @@ def weights_twenty_four_powers_of_ten_apart() -> Answer:
 def material_that_does_not_answer() -> Answer:
     """Changes that are zero at every load: no scatter and no size to take an error from."""
     fit = fit_quasi_static(_STRAINS.tolist(), _STRAINS.tolist(), [0.0] * 6)
-    wrong = abs(fit.slope) + abs(fit.intercept)
-    return Answer(wrong if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
+    error = abs(fit.slope) + abs(fit.intercept)
+    return Answer(error if np.isfinite(fit.covariance).all() else 1.0, 0.0, unit="relative conductance change")
 
 
 @AREA.against("σ/√n, that of a mean of six")
@@ -173,15 +173,15 @@ def map_with_nan() -> None:
 @AREA.against(_TURN)
 def registration_far_from_the_origin() -> Answer:
     """Places with an origin ten kilometres away, on two sides."""
-    first = 1e7
+    offset_mm = 1e7
     turn = 1.02 * np.exp(0.1j)
     p = NINE[:, 0] + 1j * NINE[:, 1]
     q = turn * p
-    near = np.column_stack([p.real, p.imag]) + first
-    far = np.column_stack([q.real, q.imag]) - 3 * first
-    registered = register(near, far)
+    near_places = np.column_stack([p.real, p.imag]) + offset_mm
+    far_places = np.column_stack([q.real, q.imag]) - 3 * offset_mm
+    registered = register(near_places, far_places)
     error = max(relative_error(registered.scale, mpmath.mpf("1.02")), abs(np.radians(registered.rotation_deg) - 0.1))
-    condition = 3 * first / float(np.abs(p).max())
+    condition = 3 * offset_mm / float(np.abs(p).max())
     return answer_from_condition(float(error), condition)
 
 

@@ -73,18 +73,20 @@ def _sensitivities(conductance: Array, ratio: float, of_contacts: bool) -> Answe
     """Worst column of the Jacobian, of elements or of contacts, against fifty digits; two fields make a column."""
     contacts = ratio * small_model().prepared.contacts.lengths_mm
     model = small_model().with_values(conductance=conductance, contact_impedance=contacts)
-    used = model.pattern.usable()
-    exact = exact_derivatives(model.mesh, model.pattern, model.conductance, contacts)[int(of_contacts)][used]
+    is_usable = model.pattern.usable()
+    exact = exact_derivatives(model.mesh, model.pattern, model.conductance, contacts)[int(of_contacts)][is_usable]
     computed = (
-        model.contact_jacobian()[used] * contacts if of_contacts else model.jacobian()[used] * model.conductance
+        model.contact_jacobian()[is_usable] * contacts
+        if of_contacts
+        else model.jacobian()[is_usable] * model.conductance
     )
     error = float((np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)).max())
     condition = 2 * reading_condition(model)
-    # What potentials that are not refined lose within good conductors, where fields are faint; else nothing.
-    apart = float(
+    # Error of unrefined potentials within good conductors, where fields are faint; zero for refined ones.
+    conductance_ratio = float(
         max(model.conductance.max(), (model.prepared.contacts.lengths_mm / contacts).max()) / model.conductance.min()
     )
-    leak = UNREFINED_ERROR * apart if apart <= REFINED_ABOVE else 0.0
+    leak = UNREFINED_ERROR * conductance_ratio if conductance_ratio <= REFINED_ABOVE else 0.0
     bound = condition_bound(condition, leak)
     return Answer(error, bound, condition, note="the worst of all columns")
 
@@ -198,10 +200,13 @@ def sensitivity_to_perfect_contacts() -> Answer:
 def derivatives_over_8_decades() -> Answer:
     """Sensitivities of elements whose conductances lie eight decades apart."""
     model = small_model().with_values(conductance=scatter_conductance(8.0))
-    used = model.pattern.usable()
-    voltages = model.voltages()[used]
-    whole = model.jacobian()[used] @ model.conductance - model.contact_jacobian()[used] @ model.contact_impedance
-    return answer_from_condition(apart(-whole, voltages), reading_condition(model))
+    is_usable = model.pattern.usable()
+    voltages = model.voltages()[is_usable]
+    summed = (
+        model.jacobian()[is_usable] @ model.conductance
+        - model.contact_jacobian()[is_usable] @ model.contact_impedance
+    )
+    return answer_from_condition(apart(-summed, voltages), reading_condition(model))
 
 
 @AREA.refuses(ValueRangeError, "the refusal, by the elements and their conductances")

@@ -69,8 +69,8 @@ def _against_series(
 
 def _with_inclusion(contrast: float) -> Answer:
     def model_of(disc: ForwardModel) -> ForwardModel:
-        inside = np.hypot(*disc.mesh.centroids_mm.T) < _INSIDE
-        return disc.with_values(conductance=np.where(inside, contrast, 1.0))
+        is_inside = np.hypot(*disc.mesh.centroids_mm.T) < _INSIDE
+        return disc.with_values(conductance=np.where(is_inside, contrast, 1.0))
 
     return _against_series(ConcentricSheet(1.0, 1.0, _INSIDE, contrast), model_of, _CONTACT, 12)
 

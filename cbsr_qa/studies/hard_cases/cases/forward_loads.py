@@ -112,9 +112,9 @@ def point_electrodes_in_other_units() -> Answer:
     conductance = inclusion(1e8)
     points = point_model(model.mesh, nodes, model.pattern, conductance)
     scaled = point_model(model.mesh, nodes, model.pattern, 1e-6 * conductance)
-    used = model.pattern.usable()
-    felt = np.linalg.norm(np.abs(points.jacobian()[used]) @ conductance)
-    condition = float(felt / np.linalg.norm(points.voltages()[used]))
+    is_usable = model.pattern.usable()
+    felt = np.linalg.norm(np.abs(points.jacobian()[is_usable]) @ conductance)
+    condition = float(felt / np.linalg.norm(points.voltages()[is_usable]))
     error = relative_error(1e-6 * scaled.voltages(), points.voltages(), model.pattern)
     return answer_from_condition(error, condition)
 

@@ -34,7 +34,7 @@ def needle(width_mm: float, first_mm: float) -> Answer:
     head = PolygonFootprint(corners)
     exact = polygon_area(corners)
     middle = corners.mean(axis=0)  # of a triangle
-    # Of the rounding of places, over the width.
+    # Rounding of the places, relative to the width.
     condition = float(np.abs(corners).max() / (2 * exact / 100))
     error = max(relative_error(head.area_mm2, exact), largest_relative_error(head.centre_mm, middle.tolist()))
     return answer_from_condition(error, condition)
@@ -56,8 +56,8 @@ def circle(corners: Array, centre: tuple[float, float]) -> Answer:
 
 def rim_of(corners: int) -> Answer:
     """Mean squared distance of a polygon's sides from the circle through its corners."""
-    half = np.pi / corners
-    angle = 2 * half * np.arange(corners)
+    half_angle = np.pi / corners
+    angle = 2 * half_angle * np.arange(corners)
     rim = _RADIUS_MM * np.column_stack([np.cos(angle), np.sin(angle)])
     computed = RoundFootprint(0.0, 0.0, _RADIUS_MM).integrate_distance2_mm3(rim, np.roll(rim, -1, axis=0)).sum()
     with mpmath.workdps(DIGITS):

@@ -59,12 +59,12 @@ def _mesh_image(values: Array) -> Image:
 def values_on_the_mask() -> Answer:
     """A mask at p % of the maximum is a comparison, and values that lie exactly on it round to either side."""
     steps = np.arange(1, 1001)
-    wrong = 0
+    wrong_count = 0
     for scale in (0.1, 1 / 3, np.pi, 1e-9, 7e8):
         for percent in (25, 50, 75, 85):
-            kept = percentage_mask(steps * scale / 1000, percent / 100)
-            wrong += int((kept != (100 * steps >= percent * 1000)).sum())
-    return Answer(float(wrong), 0.0, unit="elements", note="of 20 000 compared")
+            is_kept = percentage_mask(steps * scale / 1000, percent / 100)
+            wrong_count += int((is_kept != (100 * steps >= percent * 1000)).sum())
+    return Answer(float(wrong_count), 0.0, unit="elements", note="of 20 000 compared")
 
 
 @AREA.against("the whole sheet is in the set: resolution 1")
@@ -129,9 +129,9 @@ def touching_blobs() -> Answer:
     y, x = np.mgrid[:40, :40]
     slopes = sum(np.exp(-((x - at) ** 2 + (y - 20) ** 2) / 18.0) for at in (15, 24))
     raster = Raster(np.asarray(slopes), 1.0, (0.0, 0.0))
-    parts = split_touching(raster, 0.25, 6.0)
-    apart = abs(sum(float(part.centre_mm()[0]) for part in parts) / 2 - 19.5) if len(parts) == 2 else 40.0
-    return answer_from_condition(abs(corners - 2) + abs(len(parts) - 2) + apart, 20.0, unit="loads and pixels")
+    blobs = split_touching(raster, 0.25, 6.0)
+    centre_error = abs(sum(float(part.centre_mm()[0]) for part in blobs) / 2 - 19.5) if len(blobs) == 2 else 40.0
+    return answer_from_condition(abs(corners - 2) + abs(len(blobs) - 2) + centre_error, 20.0, unit="loads and pixels")
 
 
 @AREA.against("no region")
@@ -168,16 +168,20 @@ def centre_of_mass_far_from_the_origin() -> Answer:
     """A sheet with an origin a kilometre away."""
     y, x = np.mgrid[:_SIDE, :_SIDE]
     values = 1.0 + 0.01 * x + 0.02 * y
-    first = 1e6
-    near = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
-    far = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (first, first))), (0.5,))[0][0].centre_mm()
-    condition = first / float(near.min())
-    return answer_from_condition(largest_relative_error(far - first, near.tolist()), condition)
+    offset_mm = 1e6
+    near_centre_mm = find_blobs_by_mask(_mesh_image(values), (0.5,))[0][0].centre_mm()
+    far_centre_mm = find_blobs_by_mask(pixel_image(Raster(values, 1.0, (offset_mm, offset_mm))), (0.5,))[0][
+        0
+    ].centre_mm()
+    condition = offset_mm / float(near_centre_mm.min())
+    return answer_from_condition(
+        largest_relative_error(far_centre_mm - offset_mm, near_centre_mm.tolist()), condition
+    )
 
 
 @AREA.against("no element above it")
 def noise_floor_of_identical_images() -> Answer:
     """Unloaded images without any noise: a floor that equals every value."""
     images = np.full((8, _SIDE**2), 0.1 + 0.2)
-    left = subtract_noise_floor(images[0], noise_floor(images))
-    return Answer(float(np.abs(left).max()), 0.0, unit="relative conductance change")
+    remaining_image = subtract_noise_floor(images[0], noise_floor(images))
+    return Answer(float(np.abs(remaining_image).max()), 0.0, unit="relative conductance change")

@@ -77,7 +77,7 @@ def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
     x, y = lattice.places_mm().T / 8
     count = _SIDE**2
     templates = np.column_stack([np.cos(x), np.sin(x), np.cos(y), np.sin(y)]) / np.sqrt(2)
-    flat, turn = np.zeros(count), np.full(count, 1 / 128)
+    zeros, metric_entry = np.zeros(count), np.full(count, 1 / 128)
     return ForceModel(
         lattice,
         np.arange(count).reshape(_SIDE, _SIDE),
@@ -86,7 +86,7 @@ def force_model(log_response: float, log_size: float = 0.0) -> ForceModel:
         np.full(count, log_size),
         np.zeros((count, 4)),
         np.zeros((count, 2)),
-        np.column_stack([turn, flat, turn]),
+        np.column_stack([metric_entry, zeros, metric_entry]),
         np.ones(count, dtype=np.bool_),
         np.full(count, log_response),
         np.full(count, 0.01),
@@ -114,10 +114,12 @@ def force_of(strength: float, log_response: float) -> Answer:
     force, stderr = newtons(strength, log_response)
     with mpmath.workdps(DIGITS):
         a, area = mpmath.mpf(strength), mpmath.mpf(132.7) / 1000
-        seen = 2 * a / (2 - a) * mpmath.exp(-mpmath.mpf(log_response))
+        sheet_response = 2 * a / (2 - a) * mpmath.exp(-mpmath.mpf(log_response))
         beta, alpha = mpmath.mpf(_LINE.intercept.value), mpmath.mpf(_LINE.slope.value)
-        truth = (seen - beta) / alpha * area
-        condition = float((abs(seen) * (1 + abs(log_response) + 2 / (2 - a)) + abs(beta)) / abs(seen - beta))
+        truth = (sheet_response - beta) / alpha * area
+        condition = float(
+            (abs(sheet_response) * (1 + abs(log_response) + 2 / (2 - a)) + abs(beta)) / abs(sheet_response - beta)
+        )
     error = relative_error(force, truth) if np.isfinite(stderr) and stderr > 0 else 1.0
     return answer_from_condition(error, condition)
 
@@ -237,5 +239,5 @@ def force_where_the_response_is_1e13() -> Answer:
 def strengths_no_contrast_has() -> Answer:
     """κ = 2a/(2 − a) has a pole at a strength of 2, and is negative beyond."""
     forces = np.array([newtons(strength, 0.0) for strength in (1.0, 1.9, 2.0, 2.5, 1e12)])
-    wrong = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
-    return Answer(float(wrong), 0.0, unit="wrong statements")
+    wrong_count = int((~np.isfinite(forces)).sum()) + int((np.diff(forces[:, 0]) < 0).sum())
+    return Answer(float(wrong_count), 0.0, unit="wrong statements")

@@ -81,10 +81,10 @@ def _noise(offset: float, beginning_s: float) -> Answer:
     random = np.random.default_rng(_SEED)
     noise = np.round(random.standard_normal((30, 40)) * 2**10) / 2**30
     time_s = np.arange(30) / 4.0
-    plain = reading_noise(noise, time_s).variance
+    variance = reading_noise(noise, time_s).variance
     computed = reading_noise(noise + offset, time_s + beginning_s).variance
     condition = offset / float(noise.std()) + beginning_s / 7.5
-    return answer_from_condition(apart(computed, plain), condition)
+    return answer_from_condition(apart(computed, variance), condition)
 
 
 _WHOLE: Final = "the same numbers, as whole fractions"
@@ -107,9 +107,9 @@ def scale_from_an_offset_of_1e6_signals() -> Answer:
     """The unloaded frame lies on such an offset, and changes are to be taken over its scale."""
     problem, reference, _ = _frames()
     offset = 1e6 * _SIGNAL * float(np.abs(reference).max())
-    wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
-    wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
-    return Answer(float(sum(wrong)), 0.0, unit="wrong statements", note="the bound is zero")
+    is_wrong = [bool(scale_doubts(reference, problem)), bool(scale_doubts(-reference, problem))]
+    is_wrong += [not scale_doubts(reference + sign * offset, problem) for sign in (-1, 1)]
+    return Answer(float(sum(is_wrong)), 0.0, unit="wrong statements", note="the bound is zero")
 
 
 @AREA.against("the noise without the offset, exactly")
@@ -176,15 +176,15 @@ def frame_of_zeros() -> Answer:
 def nonsense_in_masked_channels() -> Answer:
     """The channels of an open electrode hold NaN, infinity and 1e300, and are masked."""
     sensor = usual_sensor()
-    used = mask_electrodes(sensor, (5,))
-    problem = imaging_problem(sensor, used=used, image_size_mm=IMAGE_MM)
+    is_used = mask_electrodes(sensor, (5,))
+    problem = imaging_problem(sensor, used=is_used, image_size_mm=IMAGE_MM)
     method = prepare_method(_METHOD, problem, {})
     _, reference, changed = _frames()
     images = []
     for nonsense in (np.zeros(3), np.array([np.nan, np.inf, 1e300])):
         frames = [reference.copy(), changed.copy()]
         for frame in frames:
-            frame[~used] = np.resize(nonsense, int((~used).sum()))
+            frame[~is_used] = np.resize(nonsense, int((~is_used).sum()))
         scale = scale_of(frames[0], problem)
         images.append(method.images(changes(frames[1][None], frames[0], problem, scale))[0])
     return Answer(float(np.abs(images[1] - images[0]).max()), 0.0, note="the bound is zero: they are not looked at")
@@ -193,22 +193,26 @@ def nonsense_in_masked_channels() -> Answer:
 @AREA.against("weighted means as whole fractions")
 def reciprocal_readings_twelve_decades_apart() -> Answer:
     """Reciprocal readings with noise variances up to twelve decades apart."""
-    plain = usual_problem()
-    decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain.reference)))
-    problem = replace(plain, noise_variance=10**decades)
+    plain_problem = usual_problem()
+    decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain_problem.reference)))
+    problem = replace(plain_problem, noise_variance=10**decades)
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
     fold = ReadingFold.from_problem(problem)
     computed = fold.fold(readings[None])[0]
-    weights = [1 / Fraction(one) for one in (10**decades).tolist()]
-    above, below, size = ([Fraction(0)] * len(computed) for _ in range(3))
+    weights = [1 / Fraction(value) for value in (10**decades).tolist()]
+    weighted_sums, weight_sums, absolute_sums = ([Fraction(0)] * len(computed) for _ in range(3))
     for group, sign, weight, reading in zip(
         fold.group.tolist(), fold.sign.tolist(), weights, readings.tolist(), strict=True
     ):
-        above[group] += weight * Fraction(sign) * Fraction(reading)
-        size[group] += weight * abs(Fraction(reading))
-        below[group] += weight
-    exact = np.array([float(one / other) for one, other in zip(above, below, strict=True)])
-    condition = max(float(all_ / abs(one)) for all_, one in zip(size, above, strict=True))
+        weighted_sums[group] += weight * Fraction(sign) * Fraction(reading)
+        absolute_sums[group] += weight * abs(Fraction(reading))
+        weight_sums[group] += weight
+    exact = np.array(
+        [float(value / denominator) for value, denominator in zip(weighted_sums, weight_sums, strict=True)]
+    )
+    condition = max(
+        float(absolute_sum / abs(value)) for absolute_sum, value in zip(absolute_sums, weighted_sums, strict=True)
+    )
     error = float(np.abs(computed / exact - 1).max())
     return answer_from_condition(error, condition)
 
@@ -225,10 +229,10 @@ def saturated_stuck_and_missing() -> Answer:
     voltages[:, 4, 9] = 0.0
     voltages[:, 11, 1] = 1.0005
     faults = find_faults(FrameBlock(np.arange(60) / 4.0, voltages, flags, VoltageUnit.VOLT, 1e-3), ScanKind.FULL)
-    made = np.zeros(sensor.pattern.shape, dtype=np.bool_)
+    expected_bad = np.zeros(sensor.pattern.shape, dtype=np.bool_)
     for channel in ((2, 7), (4, 9), (11, 1)):
-        made[channel] = True
-    return Answer(float((faults.bad != made).sum()), 0.0, unit="channels", note="the bound is zero")
+        expected_bad[channel] = True
+    return Answer(float((faults.bad != expected_bad).sum()), 0.0, unit="channels", note="the bound is zero")
 
 
 @AREA.refuses(NumericsError, "the refusal, with what to check")
@@ -265,9 +269,9 @@ def frame_with_nan() -> None:
 @AREA.refuses(NumericsError, "the refusal, by how many are left and needed")
 def seven_readings_left() -> None:
     """So many channels are masked that seven independent readings are left for two thousand elements."""
-    used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
-    used[0, 2:9] = True
-    imaging_problem(usual_sensor(), used=used, image_size_mm=IMAGE_MM)
+    is_used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
+    is_used[0, 2:9] = True
+    imaging_problem(usual_sensor(), used=is_used, image_size_mm=IMAGE_MM)
 
 
 @AREA.refuses(NumericsError, "the refusal, by the readings left")

@@ -37,7 +37,7 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
 
     Parameters
     ----------
-    kind : of :func:`usual_problem`.
+    kind : kind of :func:`usual_problem`.
     relative : λ over the largest singular value of W^½JR^−½.
     """
     problem = usual_problem(kind)
@@ -46,9 +46,9 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
     rows = fold.rows(problem.jacobian)
     sizes = linalg.svdvals(rows / np.sqrt(fold.variance)[:, None] / np.sqrt(weights))
     value = relative * float(sizes[0])
-    given = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
+    options = {"components": len(sizes)} if name == "truncated-svd" else {"hyperparameter": value}
     readings = _changes(problem)
-    computed = prepare_method(name, problem, given).images(readings[None])[0]
+    computed = prepare_method(name, problem, options).images(readings[None])[0]
     folded = fold.fold(readings[None])[0]
     exact = exact_image(rows, weights, value, fold.variance, folded)
     condition = ridge_condition(sizes, value)
@@ -101,17 +101,17 @@ def _lasting(frames: float) -> Answer:
     exact = np.empty_like(computed)
     conditions = []
     with mp.workdps(DIGITS):
-        between = mp.exp(-1 / mp.mpf(frames))
+        frame_correlation = mp.exp(-1 / mp.mpf(frames))
         for column, value in enumerate(values.tolist()):
             prior = mp.matrix(count, count)
             for i in range(count):
                 for j in range(count):
-                    prior[i, j] = between ** abs(i - j)
+                    prior[i, j] = frame_correlation ** abs(i - j)
             system = mp.mpf(value) * prior + mp.mpf(ridge2) * mp.eye(count)
             smoother = prior * system**-1
             exact[:, column] = [float(value) for value in smoother * mp.matrix(readings[:, column].tolist())]
-            felt = np.abs(np.array(smoother.tolist(), dtype=np.float64)) @ np.abs(readings[:, column])
-            conditions.append(np.linalg.norm(felt) / np.linalg.norm(exact[:, column]))
+            absolute_terms = np.abs(np.array(smoother.tolist(), dtype=np.float64)) @ np.abs(readings[:, column])
+            conditions.append(np.linalg.norm(absolute_terms) / np.linalg.norm(exact[:, column]))
     condition = float(max(conditions))
     error = np.linalg.norm(computed - exact, axis=0) / np.linalg.norm(exact, axis=0)
     return answer_from_condition(float(error.max()), condition)

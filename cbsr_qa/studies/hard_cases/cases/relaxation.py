@@ -30,8 +30,10 @@ def curve(offset: float, amplitudes: tuple[float, ...], taus_s: tuple[float, ...
 
 def fit_condition(offset: float, amplitudes: tuple[float, ...], taus_s: tuple[float, ...]) -> float:
     """Largest relative change of a parameter per relative change of the values, of the linearised problem."""
-    parts = np.exp(-_TIME_S[:, None] / np.array(taus_s))
-    design = np.column_stack([np.ones_like(_TIME_S), parts, parts * _TIME_S[:, None] / np.array(taus_s) * amplitudes])
+    decays = np.exp(-_TIME_S[:, None] / np.array(taus_s))
+    design = np.column_stack(
+        [np.ones_like(_TIME_S), decays, decays * _TIME_S[:, None] / np.array(taus_s) * amplitudes]
+    )
     size = np.abs([offset, *amplitudes, *np.ones(len(taus_s))])
     rows = np.linalg.norm(np.linalg.pinv(design), axis=1) / size
     return float(rows.max() * np.linalg.norm(curve(offset, amplitudes, taus_s)))
@@ -50,12 +52,12 @@ def fit_known_curve(
 
     Parameters
     ----------
-    unit, second : what the values are multiplied by, and how many units of time a second has.
+    unit, second : factor of the values, and units of time in a second.
     single : whether the values are rounded to single precision first.
     """
     values = curve(offset, amplitudes, taus_s)
-    given = (values * unit).astype(np.float32) if single else values * unit
-    fit = fit_relaxation(_TIME_S * second, np.asarray(given))
+    scaled = (values * unit).astype(np.float32) if single else values * unit
+    fit = fit_relaxation(_TIME_S * second, np.asarray(scaled))
     computed = [fit.offset / unit, *np.array(fit.amplitudes) / unit, *np.array(fit.time_constants_s) / second]
     truth = [offset, *amplitudes, *taus_s]
     error = largest_relative_error(computed, truth) if len(computed) == len(truth) else 1.0
@@ -90,8 +92,10 @@ def steady_without_noise(noise: float) -> Answer:
     kernel = RelaxationKernel(True, weights, taus_s, np.eye(4) * 1e-4, 0.1 * weights, 8.0, 9)
     time_s: Array = 2.5 * np.arange(1.0, 25.0)
     steady = predict_steady(time_s, curve(1.0, (0.3, 0.2), (5.0, 30.0), time_s), noise, kernel)
-    parts = np.exp(-time_s[:, None] / taus_s)
-    design = np.column_stack([1 + parts @ weights, 0.01 * parts, 0.01 * weights * parts * time_s[:, None] / taus_s])
+    decays = np.exp(-time_s[:, None] / taus_s)
+    design = np.column_stack(
+        [1 + decays @ weights, 0.01 * decays, 0.01 * weights * decays * time_s[:, None] / taus_s]
+    )
     condition = float(np.linalg.norm(np.linalg.pinv(design)[0]) * np.linalg.norm(design[:, 0]))
     return answer_from_condition(relative_error(float(steady.values[0]), _mp(1)), condition)
 
@@ -179,8 +183,8 @@ def trace_shorter_than_its_time_constant() -> Answer:
     """One minute of a 1000 s exponential is a straight line that does not show its end."""
     fit = fit_relaxation(_TIME_S, curve(1.0, (0.2,), (1000.0,)))
     settled = settling_time(fit, window_s=_WINDOW_S)
-    wrong = 0.0 if fit.status is FitStatus.DRIFTING and settled.censored else 1.0
-    return Answer(wrong, 0.0, unit="wrong statements", note=settled.why)
+    wrong_count = 0.0 if fit.status is FitStatus.DRIFTING and settled.censored else 1.0
+    return Answer(wrong_count, 0.0, unit="wrong statements", note=settled.why)
 
 
 @AREA.against("that level, settled at once")

@@ -21,7 +21,7 @@ from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepare_method, ring_me
 
 AREA: Final = Area("reconstruction")
 _SEED: Final = 20261122
-#: Of the sheet: 168 elements, 54 independent readings whose singular values span four decades and a half.
+#: Sheet with 168 elements, 54 independent readings whose singular values span four decades and a half.
 _ELECTRODES, _RINGS = 12, 4
 
 
@@ -31,8 +31,8 @@ def _sheet() -> tuple[Mesh, Array]:
     mesh = ring_mesh(RADIUS_MM * np.arange(1, _RINGS + 1) / _RINGS, 2 * _ELECTRODES, _ELECTRODES, 1)
     ones, contacts = np.ones(len(mesh.elements)), np.full(_ELECTRODES, 5.0)
     model = ForwardModel(mesh, adjacent_pattern(_ELECTRODES), ones, contacts)
-    used = model.pattern.usable() & np.triu(np.ones(model.pattern.shape, dtype=np.bool_))
-    return mesh, model.jacobian()[used]
+    is_used = model.pattern.usable() & np.triu(np.ones(model.pattern.shape, dtype=np.bool_))
+    return mesh, model.jacobian()[is_used]
 
 
 def smooth(relative: float) -> Answer:
@@ -43,8 +43,8 @@ def smooth(relative: float) -> Answer:
     mesh, jacobian = _sheet()
     differences = _differences(mesh)
     # Singular values of the readings that no constant image explains, over the prior's root.
-    rest = linalg.null_space(jacobian.sum(axis=1)[None]).T
-    sizes = linalg.svdvals(rest @ jacobian @ np.linalg.pinv(np.sqrt(2.0) * differences))
+    null_rows = linalg.null_space(jacobian.sum(axis=1)[None]).T
+    sizes = linalg.svdvals(null_rows @ jacobian @ np.linalg.pinv(np.sqrt(2.0) * differences))
     value = relative * float(sizes[0])
     readings = np.random.default_rng(_SEED).standard_normal(len(jacobian))
     computed = dual_matrix(jacobian, laplace(mesh), value) @ readings

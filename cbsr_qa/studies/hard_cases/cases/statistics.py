@@ -27,18 +27,18 @@ def one_sided(coverage: float, confidence: float, count: int) -> Answer:
     factor = one_sided_factor(coverage, confidence, count, count - 1)
     with mpmath.workdps(20):
         z = mpmath.sqrt(2) * mpmath.erfinv(2 * mpmath.mpf(coverage) - 1)
-        half = mpmath.mpf(count - 1) / 2
-        scale = 2 * half**half / mpmath.gamma(half)
+        half_freedom = mpmath.mpf(count - 1) / 2
+        scale = 2 * half_freedom**half_freedom / mpmath.gamma(half_freedom)
 
         def density(s: Any) -> Any:
-            held = mpmath.ncdf((mpmath.mpf(factor) * s - z) * mpmath.sqrt(count))
-            return held * scale * mpmath.exp((2 * half - 1) * mpmath.log(s) - half * s**2)
+            covered_chance = mpmath.ncdf((mpmath.mpf(factor) * s - z) * mpmath.sqrt(count))
+            return covered_chance * scale * mpmath.exp((2 * half_freedom - 1) * mpmath.log(s) - half_freedom * s**2)
 
-        width = 6 / mpmath.sqrt(4 * half)
+        width = 6 / mpmath.sqrt(4 * half_freedom)
         ends = sorted({max(mpmath.mpf(0), 1 - width), *(1 + width * share for share in (0, 0.3, 1, 3))})
         ends = [mpmath.mpf(0), *(mpmath.mpf(10) ** k for k in range(-6, 1)), 3, 9] if count < 4 else ends
-        reached = mpmath.quad(density, ends)
-        shortfall = float(abs(reached - mpmath.mpf(confidence)) / (1 - mpmath.mpf(confidence)))
+        exact_confidence = mpmath.quad(density, ends)
+        shortfall = float(abs(exact_confidence - mpmath.mpf(confidence)) / (1 - mpmath.mpf(confidence)))
     return Answer(shortfall, 1e-9, note=f"k = {factor:.10g}")
 
 
@@ -83,11 +83,13 @@ def variance_of_huge_values() -> Answer:
     with mpmath.workdps(DIGITS):
         means = [mpmath.fsum(mpmath.mpf(x) for x in run) / 2 for run in runs]
         middle = mpmath.fsum(means) / 8
-        between = mpmath.fsum((mean - middle) ** 2 for mean in means) / 7
-        within = mpmath.fsum((mpmath.mpf(x) - m) ** 2 for run, m in zip(runs, means, strict=True) for x in run) / 8
+        between_variance = mpmath.fsum((mean - middle) ** 2 for mean in means) / 7
+        within_variance = (
+            mpmath.fsum((mpmath.mpf(x) - m) ** 2 for run, m in zip(runs, means, strict=True) for x in run) / 8
+        )
     # Sensors' means are numbers of 1e9 themselves, and carry their rounding.
-    condition = 2 * 1e9 / float(mpmath.sqrt(within))
-    error = largest_relative_error([variance.between, variance.within or 0.0], [between, within])
+    condition = 2 * 1e9 / float(mpmath.sqrt(within_variance))
+    error = largest_relative_error([variance.between, variance.within or 0.0], [between_variance, within_variance])
     return answer_from_condition(error, condition)
 
 
@@ -112,18 +114,18 @@ def two_sided_tolerance_factors() -> Answer:
 @AREA.against("the binomial law in fifty digits")
 def sensors_for_rare_failures() -> Answer:
     """All but 1e-12 of sensors: billions are needed, and one minus the share has four digits left."""
-    needed = count_needed(1 - 1e-12, 0.95, 2)
+    sensor_count = count_needed(1 - 1e-12, 0.95, 2)
     with mpmath.workdps(DIGITS):
-        outside = 1 - mpmath.mpf(1 - 1e-12)
+        outside_share = 1 - mpmath.mpf(1 - 1e-12)
 
         def doubt(x: Any) -> Any:
             """Chance that fewer than two of x/p sensors are outside, beyond the one allowed."""
-            count = x / outside
-            return (1 - outside) ** (count - 1) * (1 - outside + x) - (1 - mpmath.mpf(0.95))
+            count = x / outside_share
+            return (1 - outside_share) ** (count - 1) * (1 - outside_share + x) - (1 - mpmath.mpf(0.95))
 
-        truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside)
+        truth = mpmath.ceil(mpmath.findroot(doubt, 4.7) / outside_share)
     # 1 − coverage is exact for a coverage above one half: nothing of it may be lost.
-    return answer_from_condition(relative_error(needed, truth), 1.0)
+    return answer_from_condition(relative_error(sensor_count, truth), 1.0)
 
 
 @AREA.against("mean and deviation in fifty digits")
@@ -168,10 +170,10 @@ def noise_on_an_offset_of_a_million() -> Answer:
     offset, frames = 1e6, 60
     readings = np.random.default_rng(_SEED).standard_normal((frames, 25))
     time_s: Array = np.arange(float(frames))
-    plain = reading_noise(readings, time_s).variance
-    far = reading_noise(offset + readings, 1.7e9 + time_s).variance
-    condition = 2 * offset / float(np.sqrt(plain.min()))
-    return answer_from_condition(largest_relative_error(far, plain.tolist()), condition)
+    plain_variance = reading_noise(readings, time_s).variance
+    offset_variance = reading_noise(offset + readings, 1.7e9 + time_s).variance
+    condition = 2 * offset / float(np.sqrt(plain_variance.min()))
+    return answer_from_condition(largest_relative_error(offset_variance, plain_variance.tolist()), condition)
 
 
 @AREA.refuses(NumericsError)
@@ -184,10 +186,10 @@ def readings_without_noise() -> None:
 def equivalence_without_noise() -> Answer:
     """A test of equivalence whose standard errors are rounding."""
     time_s: Array = 2.5 * np.arange(25.0)
-    first, same, other = (
+    reference, same, other = (
         MeasuredRelaxation(fit_common_relaxation([(time_s, 1 + share * np.exp(-time_s / 20))]), 60.0)
         for share in (0.3, 0.3, 0.6)
     )
-    wrong = int(compare_relaxations(first, same).shape is not Agreement.EQUIVALENT)
-    wrong += compare_relaxations(first, other).shape is not Agreement.DIFFERENT
-    return Answer(float(wrong), 0.0, unit="wrong statements")
+    wrong_count = int(compare_relaxations(reference, same).shape is not Agreement.EQUIVALENT)
+    wrong_count += compare_relaxations(reference, other).shape is not Agreement.DIFFERENT
+    return Answer(float(wrong_count), 0.0, unit="wrong statements")

@@ -67,10 +67,10 @@ def all_at_one_instant() -> None:
 def frames_at_irregular_times() -> Answer:
     """Frames from a nanosecond to half a minute apart in one trace."""
     time_s = np.cumsum(10.0 ** np.linspace(-9, 1.5, 30))
-    parts = np.exp(-time_s[:, None] / [5.0, 30.0])
-    values = 1 + parts @ [0.3, 0.2]
+    decays = np.exp(-time_s[:, None] / [5.0, 30.0])
+    values = 1 + decays @ [0.3, 0.2]
     fit = fit_relaxation(time_s, values)
-    design = np.column_stack([np.ones_like(time_s), parts, parts * time_s[:, None] / [5.0, 30.0] * [0.3, 0.2]])
+    design = np.column_stack([np.ones_like(time_s), decays, decays * time_s[:, None] / [5.0, 30.0] * [0.3, 0.2]])
     condition = float(np.linalg.norm(np.linalg.pinv(design)[3:], axis=1).max() * np.linalg.norm(values))
     computed = [*fit.time_constants_s, *fit.amplitudes]
     error = largest_relative_error(computed, [5, 30, 0.3, 0.2]) if len(computed) == 4 else 1.0
