@@ -156,7 +156,7 @@ class ParameterAnswer:
     ----------
     criterion : its name, e.g. ``"gcv"``.
     value : value that the criterion would choose; None where it has no answer.
-    words : grounds of the value, or why there is none.
+    words : reason for the value, or for having none.
     """
 
     criterion: str

@@ -68,7 +68,7 @@ def read_meant(path: Path) -> Meant:
 
     Raises
     ------
-    WrongListError : keys that are missing, unknown, empty or no text, or a pattern that is none.
+    WrongListError : a key is missing, unknown, empty or not text, or a pattern is not a regular expression.
     """
     listed = tomllib.loads(path.read_text())
     if unknown := set(listed) - set(_KEYS):

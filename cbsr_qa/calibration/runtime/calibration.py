@@ -47,7 +47,7 @@ class Calibration(HeadForces):
 
     An :class:`~cbsr_qa.calibration.runtime.estimator.Estimator`, which also takes places, other heads and currents.
 
-    CalibrationError if it has no force model: it was issued before there were any, or no load of its run gave one.
+    CalibrationError if it has no force model: no load of its run gave one.
     """
 
     lacks: Mapping[Ability, str] = _LACKS

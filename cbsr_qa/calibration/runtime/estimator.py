@@ -105,8 +105,8 @@ class TouchValues:
     Parameters
     ----------
     values : (n,) force [N] or depth [mm]; NaN in frames that do not tell it.
-    within_68, within_95 : (n, 2) lowest and highest of the interval that holds it with that probability, NaN where
-        there is none; None where that ability is lacking.
+    within_68, within_95 : (n, 2) lowest and highest of the interval that holds it with that probability: NaN in
+        frames without one, None where the calibration lacks that ability.
     stderr : (n,) standard error of the value.
     """
 

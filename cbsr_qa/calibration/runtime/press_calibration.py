@@ -83,9 +83,6 @@ class PressCalibration:
         self.lacks: Mapping[Ability, str] = _LACKS | {
             Ability(name): f"was learned from presses that had no {name}" for name in missing
         }
-        if not issued.drive:
-            why = "does not state the order of the pairs in a frame: it was issued before calibrations did"
-            self.lacks = {**self.lacks, Ability.FRAMES: why}
         self._find_faults: FaultFinder | None = None
         if issued.rest is not None:
             noise = np.zeros(len(issued.rest)) if issued.noise is None else issued.noise
@@ -128,10 +125,9 @@ class PressCalibration:
         )
 
     @cached_property
-    def pattern(self) -> DrivePattern | None:
-        """Pattern of the frames that it was learned from; None if it does not state it."""
-        issued = self.issued
-        return DrivePattern(issued.electrodes, issued.drive, issued.measure) if issued.drive else None
+    def pattern(self) -> DrivePattern:
+        """Pattern of the frames that it was learned from."""
+        return DrivePattern(self.issued.electrodes, self.issued.drive, self.issued.measure)
 
     def places(self, changes: ArrayLike) -> Places:
         """Locate touches in changes (n, m): frames minus the unloaded one, in the order of ``issued.pairs``.
@@ -152,7 +148,7 @@ class PressCalibration:
 
     def estimate(self, frames: ArrayLike) -> Touches:
         """Estimate the touch in each frame, against the unloaded frame of the calibration; see :class:`Estimator`."""
-        pattern, read = self._require_pattern(), read_frames(frames)
+        pattern, read = self.pattern, read_frames(frames)
         if read.shape[-2:] != pattern.shape or read.ndim not in (2, 3):
             raise CalibrationError(
                 f"frames of shape {read.shape} are not of this calibration",
@@ -162,12 +158,18 @@ class PressCalibration:
         return self._estimate_selected(rows, self._selection)
 
     def prepare(self) -> None:
-        """Compute what is computed only once. CalibrationError if its readings are not those of frames."""
+        """Compute what is computed only once."""
         self.places(np.zeros((1, self._selection.shape[1])))
 
     def check_recording(self, recording: Recording) -> None:
-        """Refuse a recording whose frames are not in the pattern of the calibration: RecordingError."""
-        check_pressed_recording(recording, self._require_pattern())
+        """Refuse a recording of another sensor type or pattern than the calibration: RecordingError."""
+        if recording.sensor_type not in (None, self.issued.sensor_type):
+            raise RecordingError(
+                f"{recording.path.name} is of sensor type {recording.sensor_type}, the calibration is of a"
+                f" {self.issued.sensor_type}",
+                remedy="apply the calibration that was learned from this sensor",
+            )
+        check_pressed_recording(recording, self.pattern)
 
     def follow(
         self,
@@ -186,7 +188,7 @@ class PressCalibration:
             if not 1 <= unloaded.first <= len(first):
                 raise RecordingError(f"--reference {unloaded.first} of {name}; it holds {len(first)} frames")
             rest_frames = first.select(slice(0, unloaded.first))
-        usable_mask = self._require_pattern().usable()
+        usable_mask = self.pattern.usable()
         rest_readings = None if rest_frames is None else whole_readings(rest_frames)[:, usable_mask]
         if rest_readings is not None and not np.isfinite(rest_readings).all():
             frames_name = (
@@ -236,12 +238,7 @@ class PressCalibration:
 
         CalibrationError if a calibrated pair is not among them.
         """
-        return match_readings(self.issued.pairs, DistinctPairs.from_pattern(self._require_pattern()).pairs)
-
-    def _require_pattern(self) -> DrivePattern:
-        require_ability(self, Ability.FRAMES, "give readings with their pairs, or calibrate again")
-        assert self.pattern is not None
-        return self.pattern
+        return match_readings(self.issued.pairs, DistinctPairs.from_pattern(self.pattern).pairs)
 
     def _require_rest(self) -> Array:
         if self.issued.rest is None:

@@ -162,11 +162,11 @@ class PressCalibration:
     covered_68: Annotated[float | None, Kept("held_out/covered_68")]
     covered_95: Annotated[float | None, Kept("held_out/covered_95")]
     place: LearnedPlace
+    drive: Annotated[Pairs, Kept("readings/drive")]
+    measure: Annotated[Pairs, Kept("readings/measure")]
     modelled: ModelledPlace | None = None
     force: Annotated[LearnedQuantity | None, Kept(units="N")] = None
     depth: Annotated[LearnedQuantity | None, Kept(units="mm")] = None
-    drive: Annotated[Pairs, Kept("readings/drive")] = ()
-    measure: Annotated[Pairs, Kept("readings/measure")] = ()
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

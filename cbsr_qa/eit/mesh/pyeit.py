@@ -66,7 +66,7 @@ def import_pyeit_mesh(mesh: object) -> PyeitSheet:
     ----------
     mesh : ``PyEITMesh``, or a dict of the same names: ``node`` (n, 2), or (n, 3) with a constant third coordinate;
         ``element`` (e, 3); ``el_pos`` (electrodes,) or (electrodes, 1); ``perm``, a positive number or (e,) of them,
-        1 if there is none. Nodes of no element are left out, and the others numbered again.
+        1 without one. Nodes that belong to no element are left out, and the others are renumbered.
 
     Raises
     ------
@@ -202,16 +202,16 @@ def import_pyeit_protocol(protocol: object, electrode_count: int) -> PyeitProtoc
         or measurements.ndim not in (2, 3)
         or measurements.shape[-1] not in (2, 3)
     ):
-        raise _unlike(measurements, len(drives))
+        raise _shape_error(measurements, len(drives))
     if measurements.ndim == 3:
         if len(measurements) != len(drives):
-            raise _unlike(measurements, len(drives))
+            raise _shape_error(measurements, len(drives))
         drive = np.repeat(np.arange(len(drives)), measurements.shape[1])
     elif measurements.shape[1] == 3:
         drive = whole_numbers(measurements[:, 2], "meas_mat: drives", ())
         _check_numbers(drive, len(drives), "meas_mat: reading", "drive")
     else:
-        raise _unlike(measurements, len(drives))
+        raise _shape_error(measurements, len(drives))
     rows = measurements.reshape(-1, measurements.shape[-1])
     if rows.shape[1] == 3 and not np.array_equal(rows[:, 2], drive):
         reading = int(np.argmax(rows[:, 2] != drive))
@@ -223,10 +223,10 @@ def import_pyeit_protocol(protocol: object, electrode_count: int) -> PyeitProtoc
     pairs = whole_numbers(rows[:, :2], "meas_mat", (2,))
     distinct_pairs, measure = np.unique(pairs[:, ::-1], axis=0, return_inverse=True)  # by the second electrode
     pattern = DrivePattern(electrode_count, _as_pairs(drives), _as_pairs(distinct_pairs[:, ::-1]))
-    return PyeitProtocol(pattern, drive, measure.reshape(-1), _kept(protocol, len(pairs)))
+    return PyeitProtocol(pattern, drive, measure.reshape(-1), _read_kept_mask(protocol, len(pairs)))
 
 
-def _unlike(measured: Array, drives: int) -> NumericsError:
+def _shape_error(measured: Array, drives: int) -> NumericsError:
     return NumericsError(
         f"meas_mat has shape {measured.shape} and type {measured.dtype}; for {drives} drives it is ({drives}, k, 2)"
         f" or ({drives}, k, 3), or (m, 3) with the drive in the third column",
@@ -234,7 +234,7 @@ def _unlike(measured: Array, drives: int) -> NumericsError:
     )
 
 
-def _kept(protocol: object, count: int) -> Mask | None:
+def _read_kept_mask(protocol: object, count: int) -> Mask | None:
     keep = _entry(protocol, "keep_ba", None)
     if keep.dtype == object and keep.ndim == 0:
         return None

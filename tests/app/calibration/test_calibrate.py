@@ -377,6 +377,12 @@ def test_a_recording_that_cannot_be_turned_into_places_is_refused(of_recording, 
         (("--place", 0, 0), "finds the places itself"),
     ):
         assert why in refused(*apply, recorded / "OUT.h5", recorded / "both.h5", *option)
+    other = recorded / "of-another-type.h5"
+    pressed_frames = read_recording_file(recorded / "presses.h5", discover(), format_=None, dataset=None)
+    write_recording(other, replace(pressed_frames, path=other, sensor_type="strip"))
+    assert "of-another-type.h5 is of sensor type strip, the calibration is of a" in refused(
+        *apply, recorded / "OUT.h5", other
+    )
     few = Path(recorded / "few.h5")
     block = FrameBlock(np.zeros(1), np.ones((1, 16, 4)), np.zeros((1, 16, 4), np.uint8), VoltageUnit.VOLT, 1e-3)
     write_recording(few, recording(block))

@@ -1,7 +1,6 @@
 """Every calibration is applied through one Protocol: also one that apply, stream and notebooks have never seen."""
 
 import json
-from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -135,7 +134,7 @@ def test_both_kinds_of_file_are_estimators(folder):
 
 def test_what_is_lacking_has_a_reason_and_nothing_else_has():
     by_run = qa.load_calibration("sensor.h5")
-    from_presses = qa.PressCalibration(replace(issued_from_presses(), drive=()))
+    from_presses = qa.PressCalibration(issued_from_presses())
     for estimator, touches in (
         (by_run, by_run.estimate(by_run.issued.reference)),
         (
