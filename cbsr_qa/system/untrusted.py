@@ -10,20 +10,16 @@ Only on Linux. Elsewhere the function is called directly, and only the bounds th
 Windows cannot fork, and on macOS a fork of a process with the system's libraries is not safe.
 """
 
-import codecs
-import errno
-import faulthandler
 import io
 import os
 import pickle
 import re
 import select
 import signal
-import struct
 import sys
 import time
 from collections.abc import Callable
-from dataclasses import dataclass, is_dataclass
+from dataclasses import is_dataclass
 from enum import Enum
 from functools import partial
 from pathlib import Path
@@ -31,28 +27,18 @@ from typing import Any, Final, TypeVar, cast
 
 from cbsr_qa.domain import errors
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 from cbsr_qa.system.fork_server import obtain_fork_server
+from cbsr_qa.system.reading_child import LENGTH, OPEN_FILES, SECONDS_PER_MB, Limits, send_result
 
 Result = TypeVar("Result")
 
 #: Whether files are read in a child process on this system.
 CONTAINED: Final = sys.platform == "linux"
 _MEGABYTE: Final = 2**20
-#: Processor time for any file, and more for each megabyte [s]; a megabyte of text takes 1 to 2 s.
-_SECONDS: Final = 8.0
-_SECONDS_PER_MB: Final = 10.0
-#: Factor from processor time to time on the clock: others may need the computer at the same time.
-_CLOCK: Final = 6.0
 #: Largest unpacked content of any file, and more for each of its bytes [B].
 _CONTENT: Final = 16 * _MEGABYTE
 _CONTENT_PER_BYTE: Final = 20
-#: Memory beyond the program's own [B], and more for each byte of the file, up to half of the computer's.
-_MEMORY: Final = 2**30
-_MEMORY_PER_BYTE: Final = 16
-#: Number of files a reader has open at once: its own. Links of an HDF5 file would need a second one.
-_OPEN_FILES: Final = 1
 _COPY: Final = "the file is damaged: copy it again from where it was recorded or issued"
 _BUSY: Final = (
     "the computer may be busy: try again when it is idle; if it fails again, the file holds too much or is damaged"
@@ -64,20 +50,6 @@ _PICKLED: Final = "a format's plugin is a class of a module that can be imported
 #: Longest word, and longest message, that is repeated from a file [characters].
 _LONGEST_WORD: Final = 200
 _LONGEST_REASON: Final = 2000
-#: Codecs looked up beforehand: Python imports them on first use, and a child may open no other file.
-_CODECS: Final = (
-    "ascii",
-    "cp437",
-    "latin-1",
-    "utf-8",
-    "utf-8-sig",
-    "utf-16",
-    "utf-16-le",
-    "utf-16-be",
-    "utf-32",
-    "cp1252",
-)
-
 #: Names that numpy needs to unpickle arrays and numbers.
 _NUMPY: Final = {
     ("numpy", "dtype"),
@@ -89,30 +61,6 @@ _NUMPY: Final = {
     ("numpy._core.multiarray", "scalar"),
     ("numpy.core.multiarray", "scalar"),
 }
-_LENGTH: Final = struct.Struct("<Q")
-
-
-@dataclass(frozen=True, slots=True)
-class Limits:
-    """Limits of reading one file."""
-
-    seconds: float
-    memory_bytes: int
-    open_files: int = _OPEN_FILES
-
-    @property
-    def clock_s(self) -> float:
-        """Limit of wall time [s]."""
-        return _CLOCK * self.seconds
-
-    @classmethod
-    def from_size(
-        cls, size_bytes: int, seconds_per_mb: float = _SECONDS_PER_MB, open_files: int = _OPEN_FILES
-    ) -> "Limits":
-        """Return the limits for a file size; larger files may take more time and memory."""
-        half_of_memory = os.sysconf("SC_PHYS_PAGES") * os.sysconf("SC_PAGE_SIZE") // 2
-        memory_bytes = _MEMORY + min(_MEMORY_PER_BYTE * size_bytes, half_of_memory)
-        return cls(_SECONDS + seconds_per_mb * size_bytes / _MEGABYTE, memory_bytes, open_files)
 
 
 def largest_content(size_bytes: int) -> int:
@@ -125,8 +73,8 @@ def read_untrusted(
     read: Callable[[], Result],
     *,
     refusal: type[RefusedError],
-    seconds_per_mb: float = _SECONDS_PER_MB,
-    open_files: int = _OPEN_FILES,
+    seconds_per_mb: float = SECONDS_PER_MB,
+    open_files: int = OPEN_FILES,
     modules: tuple[str, ...] = (),
 ) -> Result:
     """Call a function that reads a file in a child process, and return its result.
@@ -157,12 +105,12 @@ def read_untrusted(
         pickled, own_modules = _pickle_reader(read)
     except (pickle.PicklingError, AttributeError, TypeError) as error:
         raise refusal(f"{path.name}: what reads it cannot be sent to a child: {error}", remedy=_PICKLED) from error
-    task = pickle.dumps(partial(_send_result, pickled=pickled, limits=limits))
+    task = pickle.dumps(partial(send_result, pickled=pickled, limits=limits))
     server = obtain_fork_server()
     incoming, outgoing = os.pipe()
     with os.fdopen(incoming, "rb", buffering=0) as pipe:
         try:
-            child = server.fork(task, outgoing, (__name__, *own_modules, *modules))
+            child = server.fork(task, outgoing, (send_result.__module__, *own_modules, *modules))
         finally:
             os.close(outgoing)
         deadline = time.monotonic() + limits.clock_s
@@ -221,93 +169,12 @@ class _ReaderPickler(pickle.Pickler):
         return NotImplemented
 
 
-def _send_result(outgoing: int, *, pickled: bytes, limits: Limits) -> None:
-    """Read in the child, and send the result."""
-    for codec in _CODECS:
-        codecs.lookup(codec)
-    try:
-        reader: Callable[[], Any] = pickle.loads(pickled)  # imports the modules it needs
-    except Exception as error:  # noqa: BLE001 - the parent says it
-        reader = partial(_raise, error)
-    outgoing = _confine(outgoing, limits)
-    with os.fdopen(outgoing, "wb", closefd=False) as pipe:
-        for part in _message(reader, limits):
-            pipe.write(_LENGTH.pack(memoryview(part).nbytes))
-            pipe.write(part)
-
-
-def _confine(outgoing: int, limits: Limits) -> int:
-    """Release all that reading does not need in the child; return the pipe's new descriptor."""
-    import resource
-
-    faulthandler.disable()
-    for signal_number in (signal.SIGINT, signal.SIGTERM, signal.SIGHUP):
-        signal.signal(signal_number, signal.SIG_DFL)
-    null_device = os.open(os.devnull, os.O_RDWR)
-    for standard in range(3):
-        os.dup2(null_device, standard)
-    os.dup2(outgoing, 3)
-    os.closerange(4, max(resource.getrlimit(resource.RLIMIT_NOFILE)[0], 2**16))
-    pages = int(Path("/proc/self/statm").read_text().split()[0])
-    limit_by_kind = {
-        resource.RLIMIT_AS: pages * resource.getpagesize() + limits.memory_bytes,
-        resource.RLIMIT_CPU: int(limits.seconds) + 1,
-        resource.RLIMIT_NOFILE: 4 + limits.open_files,
-        resource.RLIMIT_FSIZE: 0,
-        resource.RLIMIT_CORE: 0,
-        resource.RLIMIT_NPROC: 0,
-    }
-    for resource_kind, limit in limit_by_kind.items():
-        hard_limit = resource.getrlimit(resource_kind)[1]
-        new_limit = limit if hard_limit == resource.RLIM_INFINITY else min(limit, hard_limit)
-        # A second later the kernel kills without saying why.
-        resource.setrlimit(
-            resource_kind, (new_limit, hard_limit if resource_kind == resource.RLIMIT_CPU else new_limit)
-        )
-    return 3
-
-
-def _raise(error: Exception) -> None:
-    raise error
-
-
-def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
-    """Encode the result of reading: a pickled head, and the arrays' bytes."""
-    arrays: list[pickle.PickleBuffer] = []
-    try:
-        with come_back_once():  # a format may be a plugin
-            outcome: tuple[Any, ...] = ("read", read())
-    except MemoryError:
-        outcome = ("memory",)
-    except Exception as error:  # noqa: BLE001 - the parent says it
-        outcome = _encode_failure(error)
-    try:
-        head = pickle.dumps(outcome, protocol=5, buffer_callback=arrays.append)
-        return [head, *(array.raw() for array in arrays)]
-    except MemoryError:
-        return [pickle.dumps(("memory",))]
-    except Exception as error:  # noqa: BLE001 - a format may return anything
-        return [pickle.dumps(("strange", str(error)))]
-
-
-def _encode_failure(error: Exception) -> tuple[Any, ...]:
-    cause: BaseException | None = error
-    while cause is not None:
-        if isinstance(cause, OSError) and cause.errno == errno.EMFILE:
-            return "second", None if cause.filename is None else str(cause.filename)
-        cause = cause.__cause__ or cause.__context__
-    if isinstance(error, RefusedError):
-        problems = tuple(getattr(error, "problems", ()))
-        return "refused", type(error).__name__, error.reason, error.remedy, problems
-    return "broken", f"{type(error).__name__}: {error}"
-
-
 def _parts_of(pipe: io.FileIO, deadline: float, limits: Limits) -> list[bytearray] | None:
     """Return all parts a child sends before it ends; None on timeout, or if it stops within a part."""
     parts: list[bytearray] = []
     left_bytes = limits.memory_bytes
-    while length := _receive(pipe, _LENGTH.size, deadline):
-        (count,) = _LENGTH.unpack(length)
+    while length := _receive(pipe, LENGTH.size, deadline):
+        (count,) = LENGTH.unpack(length)
         if count > left_bytes:
             return None
         left_bytes -= count
@@ -326,7 +193,7 @@ def _receive(pipe: io.FileIO, count: int, deadline: float) -> bytearray | None:
         ready, _, _ = select.select([pipe], [], [], max(deadline - time.monotonic(), 0))
         read_count = pipe.readinto(view[received:]) if ready else None
         if not read_count:
-            return bytearray() if read_count == 0 and received == 0 and count == _LENGTH.size else None
+            return bytearray() if read_count == 0 and received == 0 and count == LENGTH.size else None
         received += read_count
     return data
 

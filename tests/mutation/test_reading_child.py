@@ -14,7 +14,8 @@ import pytest
 
 from cbsr_qa.domain.errors import CalibrationError, RecordingError, RefusedError, RowProblem
 from cbsr_qa.domain.readings.loads import Indenter
-from cbsr_qa.system import untrusted
+from cbsr_qa.system import reading_child, untrusted
+from cbsr_qa.system.reading_child import Limits
 from cbsr_qa.system.untrusted import CONTAINED, read_untrusted
 
 pytestmark = pytest.mark.skipif(not CONTAINED, reason="there are no reading children on this platform")
@@ -64,8 +65,8 @@ def _give(made):
     ],
 )
 def test_a_child_that_dies_is_a_refusal_that_names_the_file(file, monkeypatch, read, said):
-    monkeypatch.setattr(untrusted, "_SECONDS", 1.0)
-    monkeypatch.setattr(untrusted, "_CLOCK", 2.0 if read is _sleep else 60.0)
+    monkeypatch.setattr(reading_child, "_SECONDS", 1.0)
+    monkeypatch.setattr(reading_child, "_CLOCK", 2.0 if read is _sleep else 60.0)
     with pytest.raises(CalibrationError, match=said):
         read_untrusted(file, read, refusal=CalibrationError)
     assert read_untrusted(file, file.read_bytes, refusal=CalibrationError) == b"0123456789"
@@ -197,6 +198,6 @@ def test_where_no_child_can_be_made_files_are_read_directly(file, monkeypatch):
 
 
 def test_large_files_may_take_longer_and_more_memory():
-    small, large = untrusted.Limits.from_size(0), untrusted.Limits.from_size(100 * 2**20)
+    small, large = Limits.from_size(0), Limits.from_size(100 * 2**20)
     assert (small.seconds, small.clock_s, small.memory_bytes) == (8, 48, 2**30)
     assert (large.seconds, large.memory_bytes) == (1008, 2**30 + 1600 * 2**20)
