@@ -2,39 +2,13 @@
 
 import pytest
 from command import cbsr_qa, document
+from one_press import one_press_recipe
 
 pytestmark = pytest.mark.rest
 
-RECIPE = """
-[recipe]
-name = "one-press"
-calibrate_phases = []
-
-[[phases]]
-name = "one place"
-sequence = "location-grid"
-strains_percent = [20.0]
-trials = 1
-locations_mm = [[15.0, -15.0]]
-hold_s = 20.0
-rest_s = 5.0
-initial_rest_s = 5.0
-unloaded_frames = 16
-find_surface = true
-
-[reconstruction]
-method = "gauss-newton-noser"
-noise_figure = 1.0
-exponent = 0.25
-
-[metrics]
-applied-force = {}
-centre-of-mass-error = {}
-channel-noise = {}
-contact-resistance = {}
-load-estimate = {}
-reciprocity = {}
-"""
+RECIPE = one_press_recipe(
+    "applied-force", "centre-of-mass-error", "channel-noise", "contact-resistance", "load-estimate", "reciprocity"
+)
 #: (measurement, qualifier) → how far apart two runs may be that share sheet and press, but not noise and frame times.
 WITHIN = {
     ("contact_resistance", "pair 6-7"): 0.4,  # Ω of 18.1 kΩ; both are means of 16 readings, to 0.06 Ω

@@ -6,6 +6,7 @@ import sys
 
 import pytest
 from command import cbsr_qa, document
+from one_press import one_press_recipe
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="nothing is forked elsewhere")
 
@@ -28,32 +29,7 @@ def inspect():
 
 os.register_at_fork(before=inspect)
 """
-RECIPE = """
-[recipe]
-name = "one-press"
-calibrate_phases = ["one place"]
-
-[[phases]]
-name = "one place"
-sequence = "location-grid"
-strains_percent = [20.0]
-trials = 1
-locations_mm = [[15.0, -15.0]]
-hold_s = 20.0
-rest_s = 5.0
-initial_rest_s = 5.0
-unloaded_frames = 16
-find_surface = true
-
-[reconstruction]
-method = "gauss-newton-noser"
-noise_figure = 1.0
-exponent = 0.25
-
-[metrics]
-applied-force = {}
-centre-of-mass-error = {}
-"""
+RECIPE = one_press_recipe("applied-force", "centre-of-mass-error", calibrate=True)
 
 
 @pytest.fixture
