@@ -4,6 +4,7 @@ import ast
 import re
 from collections import defaultdict
 from collections.abc import Iterator, Mapping
+from functools import cache
 from pathlib import Path
 from typing import NamedTuple
 
@@ -48,13 +49,18 @@ def read_imports(importer: str, source: str) -> Iterator[Import]:
             yield from (Import(importer, alias.name, "") for alias in node.names)
 
 
-IMPORTS = [made for name, path in MODULES.items() for made in read_imports(name, path.read_text(encoding="utf-8"))]
+@cache
+def list_imports() -> list[Import]:
+    """Return all imports of the product; not at import, since every worker of the tests imports this file."""
+    return [made for name, path in MODULES.items() for made in read_imports(name, path.read_text(encoding="utf-8"))]
 
 
 def author_imports() -> Iterator[Import]:
     """Yield imports of those who write plugins: built-in ones, new packages, examples of the documentation."""
     listing = "cbsr_qa_plugins.registry"  # is loaded to list what there is, without what the door loads
-    theirs = [made for made in IMPORTS if made.importer.startswith("cbsr_qa_plugins") and made.importer != listing]
+    theirs = [
+        made for made in list_imports() if made.importer.startswith("cbsr_qa_plugins") and made.importer != listing
+    ]
     yield from theirs
     for template in (TOP / "cbsr_qa" / "testing" / "kit" / "templates").iterdir():
         lines = re.findall(r"^from cbsr_qa[\w.]* import (?:\([^)]*\)|.*)$", template.read_text(), re.M)
@@ -71,7 +77,7 @@ def author_imports() -> Iterator[Import]:
 def test_only_doors_hand_on_names():
     """Another package's ``__init__`` says what it is for; its names are imported from their modules."""
     importing = {
-        made.importer for made in IMPORTS if made.importer in PACKAGES and made.imported.startswith("cbsr_qa")
+        made.importer for made in list_imports() if made.importer in PACKAGES and made.imported.startswith("cbsr_qa")
     }
     assert importing - DOORS == {"cbsr_qa.studies.hard_cases.cases"}  # which lists its modules
 
@@ -82,7 +88,7 @@ def test_every_package_says_what_it_is_for():
 
 
 def test_the_door_of_plugins_offers_what_their_authors_use():
-    offered = {made.name: made.module for made in IMPORTS if made.importer == "cbsr_qa.plugin.api"}
+    offered = {made.name: made.module for made in list_imports() if made.importer == "cbsr_qa.plugin.api"}
     used = list(author_imports())
     past = {made for made in used if offered.get(made.name) == made.module}
     assert past == set(), "these stand in cbsr_qa.plugin"
@@ -116,7 +122,7 @@ def test_a_circle_is_found():
 def test_no_module_imports_itself_by_way_of_others():
     """Local imports count: a circle that they hide is one all the same."""
     edges = defaultdict(set)
-    for made in IMPORTS:
+    for made in list_imports():
         if made.imported in MODULES and made.imported != made.importer and made.importer != "cbsr_qa":
             edges[made.importer].add(made.imported)
     assert find_circle(edges) == []
@@ -125,7 +131,7 @@ def test_no_module_imports_itself_by_way_of_others():
 def test_no_package_needs_one_that_needs_it():
     """Packages of one room, and modules beside them."""
     edges = defaultdict(set)
-    for made in IMPORTS:
+    for made in list_imports():
         importer, imported = (".".join(name.split(".")[:3]) for name in (made.importer, made.imported))
         if importer != imported and importer.count(".") == imported.count(".") == 2:
             edges[importer].add(imported)
