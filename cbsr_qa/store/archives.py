@@ -269,9 +269,9 @@ class Archive:
 
     def read_all(self) -> None:
         """Read every chunk, and the largest block in the way it is read later."""
-        longest = max(self._places, key=lambda place: _frames(self._places[place][1]), default=None)
-        if longest is not None:
-            self.cells(*longest)
+        frame_counts = {place: frames.stop - frames.start for place, (_, frames) in self._places.items()}
+        if frame_counts:
+            self.cells(*max(frame_counts, key=frame_counts.__getitem__))
         with _readable():
             for group in {group for group, _ in self._places.values()}:
                 for _, dataset in _own_members(group):
@@ -306,10 +306,6 @@ class Archive:
                 else None
                 for name in ARRAYS
             }
-
-
-def _frames(part: slice) -> int:
-    return int(part.stop - part.start)
 
 
 def _own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:

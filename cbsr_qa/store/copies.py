@@ -45,10 +45,14 @@ def copy_database(engine: Engine, to: Path, count: Count = lambda what, done, of
     StoreError
         If the database is not a file, is missing, damaged or of another program, or the copy is not what was copied.
     """
-    source = _source(engine)
+    source = sqlite_file(engine.url)
+    if source is None:
+        raise _server_error(engine, "pg_dump --format=custom --file=FILE --dbname='{url}'")
     if to.exists():
         raise RefusedError(f"{to} exists already; a backup replaces nothing", remedy="name another file")
-    _check_version(engine, read_version(engine))
+    version = read_version(engine)
+    if version.age not in (Age.CURRENT, Age.OLDER):  # missing, newer, or of another program
+        raise refusal(engine, version)
     with _temporary(to) as partial:
         with (
             translate_errors(engine.url),
@@ -169,13 +173,6 @@ def _heads(connection: sqlite3.Connection) -> dict[str, str]:
     return dict(connection.execute(query))
 
 
-def _source(engine: Engine) -> Path:
-    file = sqlite_file(engine.url)
-    if file is None:
-        raise _server_error(engine, "pg_dump --format=custom --file=FILE --dbname='{url}'")
-    return file
-
-
 def _server_error(engine: Engine, command: str) -> RefusedError:
     bare_url = engine.url.difference_update_query([name for name in engine.url.query if "password" in name.lower()])
     url = bare_url._replace(drivername=bare_url.get_backend_name(), password=None).render_as_string()
@@ -185,12 +182,6 @@ def _server_error(engine: Engine, command: str) -> RefusedError:
         f"{name_database(engine.url)} is not a file: its server makes and restores backups",
         remedy=f"with its own tools (password: PGPASSWORD or ~/.pgpass): {command.format(url=url)}",
     )
-
-
-def _check_version(engine: Engine, version: SchemaVersion) -> None:
-    """Refuse a database that is missing, newer or of another program; an older one is this program's too."""
-    if version.age not in (Age.CURRENT, Age.OLDER):
-        raise refusal(engine, version)
 
 
 @contextmanager

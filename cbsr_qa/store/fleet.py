@@ -68,7 +68,11 @@ class Fleet:
                 verdict.validate()
                 if verdict.analysis:
                     places[verdict.analysis] = len(runs)
-                link_contents.append(_link_content(line, verdict))
+                known: Known | None = None
+                if verdict.analysis and verdict.chain.chained:  # what the link of its values covers beside them
+                    link_facts = facts(line, verdict.analysis, str(verdict.outcome), verdict.software)
+                    known = line.run, verdict.analysis, link_facts
+                link_contents.append(known)
                 runs.append(line)
             kinds, (run, kind, value, state) = _values(connection, chosen, places, link_contents)
             return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
@@ -114,13 +118,6 @@ def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunL
         overridden_to=None if one.decision is None else one.decision.outcome,
         altered=one.altered,
     )
-
-
-def _link_content(line: RunLine, one: StoredVerdict) -> Known | None:
-    """Return the other content that the link of a run's values covers; None for a run without link or result."""
-    if not one.analysis or not one.chain.chained:
-        return None
-    return line.run, one.analysis, facts(line, one.analysis, str(one.outcome), one.software)
 
 
 def _values(

@@ -4,7 +4,7 @@ A selection reads columns of runs that anybody who can write the database can ch
 leaves out are compared with their links too: one that does not match is listed whatever the selection says.
 """
 
-from collections.abc import Collection, Iterator
+from collections.abc import Collection
 from dataclasses import replace
 from datetime import UTC, datetime, time, timedelta
 from functools import partial
@@ -23,7 +23,7 @@ from cbsr_qa.store.unreadable_runs import read_apart
 
 #: Longest time by which an identifier may be older than the start of its run. It may be younger by any time:
 #: identifiers go on from the latest one where a clock was set back.
-_EARLIER: Final = timedelta(hours=1)
+_MAX_IDENTIFIER_LEAD: Final = timedelta(hours=1)
 _ANY: Final = RunSelection()
 
 
@@ -36,7 +36,9 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
     """
     bounds = _within(selection, selected)
     hidden = _find_hidden(connection, selection, bounds)
-    altered = find_altered_outside(connection, bounds, {*selected, *hidden}) if _reads_columns(selection) else {}
+    # A selection by the names of runs alone depends on no column that could have been altered.
+    by_name_only = replace(selection, checks=True, after="", up_to="", latest=None) == _ANY
+    altered = {} if by_name_only else find_altered_outside(connection, bounds, {*selected, *hidden})
     return sorted({*selected, *hidden, *altered})
 
 
@@ -67,11 +69,6 @@ def _find_altered(connection: Connection, runs: Collection[str]) -> dict[str, st
     return find_altered(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows])
 
 
-def _reads_columns(selection: RunSelection) -> bool:
-    """Whether a selection depends on a column of runs other than their names."""
-    return replace(selection, checks=True, after="", up_to="", latest=None) != _ANY
-
-
 def _within(selection: RunSelection, selected: Collection[str]) -> Conditions:
     """Return the conditions on names of runs that may belong to a selection."""
     bounds: list[ColumnElement[bool]] = []
@@ -81,16 +78,12 @@ def _within(selection: RunSelection, selected: Collection[str]) -> Conditions:
         bounds.append(RunRow.run <= selection.up_to)
     if selection.latest is not None and len(selected) >= selection.latest:
         bounds.append(RunRow.run > min(selected))
-    if moments := list(_begins(selection)):
-        bounds.append(RunRow.run >= first_id(max(moments) - _EARLIER))
-    return bounds
-
-
-def _begins(selection: RunSelection) -> Iterator[datetime]:
-    if selection.since is not None:
-        yield datetime.combine(selection.since, time(), UTC)
+    earliest_starts = [] if selection.since is None else [datetime.combine(selection.since, time(), UTC)]
     if selection.from_moment is not None:
-        yield selection.from_moment
+        earliest_starts.append(selection.from_moment)
+    if earliest_starts:
+        bounds.append(RunRow.run >= first_id(max(earliest_starts) - _MAX_IDENTIFIER_LEAD))
+    return bounds
 
 
 def _find_hidden(connection: Connection, selection: RunSelection, within: Conditions) -> set[str]:

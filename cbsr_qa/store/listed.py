@@ -101,8 +101,9 @@ class RunLists:
             If the database cannot be read.
         """
         with reading(self._engine) as connection:
+            read = partial(_read_measurements, connection)
             parts = (
-                list(read_apart(connection, runs, partial(_read_measurements, connection), _mark_unreadable))
+                list(read_apart(connection, runs, read, lambda run, problem: MeasuredRuns((), {}, {run: problem})))
                 if runs
                 else []
             )
@@ -126,10 +127,6 @@ class RunLists:
                 place = f"analysis {values['analysis']}, measurement {values['number']},"
                 measurements_by_run.setdefault(measured.runs[index], []).append(restore_measurement(values, place))
         return measurements_by_run
-
-
-def _mark_unreadable(run: str, problem: str) -> MeasuredRuns:
-    return MeasuredRuns((), {}, {run: problem})
 
 
 def _read_measurements(connection: Connection, runs: Sequence[str]) -> MeasuredRuns:
@@ -168,8 +165,9 @@ def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun,
         verdicts = {verdict.run: verdict for verdict in page if verdict.outcome is Outcome.FAIL}
         failed: dict[str, dict[MetricKey, None]] = {}
         altered: dict[str, str] = {}
+        find_failures = partial(_find_failures, connection, verdicts)
         for metrics, problems in read_apart(
-            connection, list(verdicts), partial(_find_failures, connection, verdicts), _mark_problem
+            connection, list(verdicts), find_failures, lambda run, problem: ({}, {run: problem})
         ):
             failed |= metrics
             altered |= problems
@@ -232,10 +230,6 @@ def _find_failures(
         if outcome == Outcome.FAIL and analysis in latest_analyses and run not in altered:
             failed_by_analysis.setdefault(analysis, {})[MetricKey(*key)] = None
     return failed_by_analysis, altered
-
-
-def _mark_problem(run: str, problem: str) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
-    return {}, {run: problem}
 
 
 def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, int], set[str]]:

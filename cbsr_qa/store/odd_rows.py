@@ -15,7 +15,7 @@ from cbsr_qa.store.damage import FOREIGN_CELL, cell_reader, raw_cell
 from cbsr_qa.store.tables.runs import Base
 
 #: Longest text of a cell in a message.
-_LONGEST: Final = 60
+_MAX_CELL_LENGTH: Final = 60
 
 
 @dataclass(frozen=True, slots=True)
@@ -67,8 +67,10 @@ def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnEl
             except FOREIGN_CELL:
                 unread_columns.append(name)
         if unread_columns:
-            key = ", ".join(f"{column.name} {_quote(row[column.name])}" for column in table.primary_key)
-            odd_cells = ", ".join(f"{name} holds {repr(row[name])[:_LONGEST]}" for name in unread_columns)
+            keys = {column.name: row[column.name] for column in table.primary_key}
+            texts = {name: cell if isinstance(cell, str) else repr(cell) for name, cell in keys.items()}
+            key = ", ".join(f"{name} {text[:_MAX_CELL_LENGTH]}" for name, text in texts.items())
+            odd_cells = ", ".join(f"{name} holds {repr(row[name])[:_MAX_CELL_LENGTH]}" for name in unread_columns)
             odd_rows.append(OddRow(f"{table.name} ({key}): {odd_cells}, which is not a value of that column", values))
         else:
             rows.append(values)
@@ -94,7 +96,3 @@ def _decode(text: bytes) -> str | bytes:
         return text.decode()
     except UnicodeDecodeError:
         return text
-
-
-def _quote(cell: Any) -> str:
-    return (cell if isinstance(cell, str) else repr(cell))[:_LONGEST]

@@ -10,13 +10,13 @@ from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import row_of
-from cbsr_qa.store.odd_rows import OddRow, RowsApart, read_rows_apart
+from cbsr_qa.store.odd_rows import RowsApart, read_rows_apart
 from cbsr_qa.store.outbox import Kind, announce
 from cbsr_qa.store.tables.gate import ReleaseRow
 from cbsr_qa.store.types import time_of_id
 
 #: Stand-in for an unreadable identifier. It sorts after every identifier: such a row may be the latest.
-_LATEST: Final = "~"
+_UNREADABLE_ID: Final = "~"
 
 
 class Releases:
@@ -47,7 +47,7 @@ class Releases:
         """
         row = ReleaseRow
         with reading(self._engine) as connection:
-            releases = _list_said(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
+            releases = _list_releases(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
         return max(releases, key=lambda one: one.release, default=None)
 
     def read_all(self) -> tuple[Release, ...]:
@@ -61,7 +61,7 @@ class Releases:
             If the database cannot be read.
         """
         with reading(self._engine) as connection:
-            releases = _list_said(read_rows_apart(connection, ReleaseRow))
+            releases = _list_releases(read_rows_apart(connection, ReleaseRow))
         return tuple(sorted(releases, key=lambda one: one.release))
 
     def name_unread(self, kind: str = "", sha256: str = "") -> tuple[str, ...]:
@@ -72,12 +72,16 @@ class Releases:
             return read_rows_apart(connection, row, *of_content).problems
 
 
-def _list_said(found: RowsApart) -> list[Release]:
+def _list_releases(rows: RowsApart) -> list[Release]:
     """Return releases and withdrawals; an unreadable row that is no release counts as a withdrawal."""
-    withdrawing_rows = (
-        odd for odd in found.odd if odd.cells.get("outcome") != "released" and odd.cells.keys() >= {"kind", "sha256"}
-    )
-    return [*map(_release, found.rows), *map(_stand_in, withdrawing_rows)]
+    releases = [_release(cells) for cells in rows.rows]
+    for odd in rows.odd:
+        if odd.cells.get("outcome") != "released" and odd.cells.keys() >= {"kind", "sha256"}:
+            made_at = time_of_id(odd.cells.get("release_id", "")) or datetime.fromtimestamp(0, UTC)
+            operator = "a row that cannot be read"
+            defaults = {"release_id": _UNREADABLE_ID, "name": "", "operator": operator, "why": odd.words}
+            releases.append(_release({"noted_at": made_at, **defaults, **odd.cells, "outcome": "withdrawn"}))
+    return releases
 
 
 def _release(cells: Mapping[str, Any]) -> Release:
@@ -85,10 +89,3 @@ def _release(cells: Mapping[str, Any]) -> Release:
     action: Literal["released", "withdrawn"] = "released" if cells["outcome"] == "released" else "withdrawn"
     renamed_cells = {"release": cells["release_id"], "by": cells["operator"], "at": cells["noted_at"]}
     return fill_from_mapping(Release, {**cells, **renamed_cells}, action=action)
-
-
-def _stand_in(row: OddRow) -> Release:
-    """Return the withdrawal that stands for a row that cannot be read."""
-    made_at = time_of_id(row.cells.get("release_id", "")) or datetime.fromtimestamp(0, UTC)
-    defaults = {"release_id": _LATEST, "name": "", "operator": "a row that cannot be read", "why": row.words}
-    return _release({"noted_at": made_at, **defaults, **row.cells, "outcome": "withdrawn"})

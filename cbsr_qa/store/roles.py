@@ -1,6 +1,6 @@
 """The least rights on PostgreSQL that stations and readers need, as a script for the database's owner."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from textwrap import fill
 from typing import Final
 
@@ -58,6 +58,7 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
     assert {kind.metadata for kind in kinds} == {RunRow.metadata}
     tables = sorted(RunRow.metadata.tables)
     readable = [*tables, VERSION_TABLE, *VIEWS]
+    insertable = [name for name in tables if name not in OF_THE_OWNER]
     return "\n".join(
         (
             _HEAD.format(station=station, reader=reader),
@@ -65,7 +66,8 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
             "REVOKE CREATE ON SCHEMA public FROM PUBLIC;\n",
             _ROLE.format(role=station),
             _grant("SELECT", readable, station),
-            *_writing(tables, station),
+            _grant("INSERT", insertable, station),
+            *(_grant(f"UPDATE ({', '.join(columns)})", [table], station) for table, columns in CHANGED.items()),
             "",
             _ROLE.format(role=reader),
             _grant("SELECT", readable, reader),
@@ -74,13 +76,6 @@ def roles_script(station: str = STATION, reader: str = READER) -> str:
             "",
         )
     )
-
-
-def _writing(tables: Sequence[str], station: str) -> Iterator[str]:
-    """Yield the rights to add rows, and to change the few cells that may change."""
-    yield _grant("INSERT", [name for name in tables if name not in OF_THE_OWNER], station)
-    for table, columns in CHANGED.items():
-        yield _grant(f"UPDATE ({', '.join(columns)})", [table], station)
 
 
 def _grant(right: str, names: Sequence[str], role: str) -> str:

@@ -174,9 +174,11 @@ def _check_link(run: str, link: Row[*tuple[Any, ...]], key_id: str, key: Signing
 
 def _check_rows(connection: Connection, run: str, kinds: Collection[str], linked: dict[tuple[str, str], str]) -> None:
     """Raise StoreError if rows were changed, added or removed."""
-    figures = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
-    of_figures = _figures(connection, run) if FIGURES in kinds else iter(())
-    for stored, links in ((digest_documents(connection, run, kinds), linked), (of_figures, figures)):
+    figure_links = {place: linked.pop(place) for place in list(linked) if place[0] == FIGURES}
+    query = select(AnalysisRow.analysis).where(AnalysisRow.run == run)
+    analyses = connection.scalars(query).all() if FIGURES in kinds else ()
+    figures = ((FIGURES, analysis, figures_digest(connection, analysis)) for analysis in analyses)
+    for stored, links in ((digest_documents(connection, run, kinds), linked), (figures, figure_links)):
         for kind, document, content in stored:
             expected = links.pop((kind, document), None)
             if expected is None:
@@ -231,11 +233,6 @@ def digest_documents(
         query = select(*columns).where(select_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
             yield table.name, key, content
-
-
-def _figures(connection: Connection, run: str) -> Iterator[tuple[str, str, str]]:
-    for analysis in connection.scalars(select(AnalysisRow.analysis).where(AnalysisRow.run == run)).all():
-        yield FIGURES, analysis, figures_digest(connection, analysis)
 
 
 def select_run(table: Table, run: str) -> Any:

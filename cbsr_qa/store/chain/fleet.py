@@ -23,7 +23,7 @@ AT_ONCE: Final = 2_000
 #: thirds of the time of 2000.
 _BLOCK: Final = 200
 #: Analyses that are read a second time at once.
-_AGAIN: Final = 500
+_REREAD_ANALYSES: Final = 500
 
 
 #: Run, analysis and facts.
@@ -83,10 +83,13 @@ def check_figures(
     """
     linked = _read_links(connection, chosen)
     unlike = _unlike(known, figures, linked)
-    for first in range(0, len(unlike), _AGAIN):
-        some = unlike[first : first + _AGAIN]
+    m = MeasurementRow
+    for first in range(0, len(unlike), _REREAD_ANALYSES):
+        batch = unlike[first : first + _REREAD_ANALYSES]
+        places = {analysis: place for place, (_, analysis, _) in enumerate(batch)}
         # PostgreSQL fills gaps, so that rows of an analysis may come in another order than they were stored in.
-        for run, _, _ in _unlike(some, _read_in_order(connection, [one[1] for one in some]), linked):
+        in_order = figures_query().where(m.analysis.in_(list(places))).order_by(m.analysis, m.number)
+        for run, _, _ in _unlike(batch, Figures(connection, in_order, places), linked):
             check_run(connection, run)  # raises, naming the row
 
 
@@ -98,13 +101,6 @@ def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, t
         for one, content in zip(known, digests, strict=True)
         if one is not None and linked.get(one[1]) != (one[0], content)
     ]
-
-
-def _read_in_order(connection: Connection, analyses: Sequence[str]) -> Figures:
-    """Measurements of some analyses, each in the order of their numbers."""
-    m = MeasurementRow
-    query = figures_query().where(m.analysis.in_(analyses)).order_by(m.analysis, m.number)
-    return Figures(connection, query, {analysis: place for place, analysis in enumerate(analyses)})
 
 
 def _read_links(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -> dict[str, tuple[str, str]]:

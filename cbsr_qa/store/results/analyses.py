@@ -212,17 +212,16 @@ def as_measurement(row: Row[Any]) -> Measurement:
 
 def restore_measurement(values: Mapping[Any, Any], key: str) -> Measurement:
     """Return a measurement of its columns. StoreError, which begins with ``key``, if a word in it is invalid."""
+    limit = None
+    if values["limited"]:
+        lower, upper, marginal = (values[column] for column in ("lower_limit", "upper_limit", "marginal"))
+        phase, qualifier = values["limit_phase"] or "", values["limit_qualifier"] or ""
+        limit = Limit(values["name"], values["unit"], lower, upper, marginal or 0.0, phase, qualifier)
     return fill_from_mapping(
         Measurement,
         values,
         bound=read_word(Bound, values["bound"], "measurements.bound", key),
         load=values["load_index"],
-        limit=_limit(values) if values["limited"] else None,
+        limit=limit,
         outcome=read_word(Outcome, values["outcome"], "measurements.outcome", key),
     )
-
-
-def _limit(values: Mapping[Any, Any]) -> Limit:
-    lower, upper, marginal = (values[column] for column in ("lower_limit", "upper_limit", "marginal"))
-    phase, qualifier = values["limit_phase"] or "", values["limit_qualifier"] or ""
-    return Limit(values["name"], values["unit"], lower, upper, marginal or 0.0, phase, qualifier)

@@ -1,7 +1,6 @@
 """Moves frames of runs to archives and back. At every moment all are in the database, in a file, or in both."""
 
 import hashlib
-from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
@@ -11,7 +10,6 @@ from sqlalchemy import Connection, Engine, delete, exists, func, insert, select,
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.archives import (
     ARRAYS,
@@ -117,7 +115,9 @@ class RunArchives:
                 blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
             if not file.exists():
                 write_archive(file, one.run, blocks)
-            data = _verify(file, rows, _largest_archive(block for _, _, block in blocks))
+            # Uncompressed, with HDF5's own, an archive takes less.
+            max_bytes = _ARCHIVE_BYTES + sum(3 * block.voltages.nbytes + _BLOCK_BYTES for _, _, block in blocks)
+            data = _verify(file, rows, max_bytes)
             values = {
                 "run": one.run,
                 "file": place_of(self._engine, file),
@@ -143,10 +143,12 @@ class RunArchives:
             if row is None or data is None:
                 raise StoreError(f"the frames of run {run} are not archived")
             frames, size = 0, 0
-            for phase, number, block in _blocks(connection, run):
+            for block_row in with_arrays(connection, _rows(connection, run)):
+                block = frame_block(block_row)
                 values = {name: value for name, value in frame_values(block).items() if name in ARRAYS}
-                of_block = FrameBlockRow.run == run, FrameBlockRow.phase == phase, FrameBlockRow.block == number
-                connection.execute(update(FrameBlockRow).where(*of_block).values(**values))
+                of_run = update(FrameBlockRow).where(FrameBlockRow.run == run)
+                of_block = FrameBlockRow.phase == block_row.phase, FrameBlockRow.block == block_row.block
+                connection.execute(of_run.where(*of_block).values(**values))
                 frames += len(block)
                 size += sum(len(value) for value in values.values() if value is not None)
             connection.execute(delete(ArchiveRow).where(ArchiveRow.run == run))
@@ -174,15 +176,10 @@ def _has_passed(connection: Connection, one: ArchivedRun, before: datetime) -> b
     return False
 
 
-def _largest_archive(blocks: Iterable[FrameBlock]) -> int:
-    """Return what an archive of some blocks takes at most [B]; uncompressed, with HDF5's own, it takes less."""
-    return _ARCHIVE_BYTES + sum(3 * block.voltages.nbytes + _BLOCK_BYTES for block in blocks)
-
-
-def _verify(file: Path, rows: list[Any], most_bytes: int) -> bytes:
+def _verify(file: Path, rows: list[Any], max_bytes: int) -> bytes:
     """Return the content of an archive that holds every block of some rows, to the bit."""
     try:
-        data = archive_bytes(file, most_bytes)
+        data = archive_bytes(file, max_bytes)
     except OSError as error:
         raise StoreError(
             f"{file} cannot be read: {error.strerror}", remedy="move that file away, or use --to"
@@ -200,11 +197,6 @@ def _empty(connection: Connection, run: str) -> None:
     of_run = update(FrameBlockRow).where(FrameBlockRow.run == run)
     connection.execute(of_run.values(time_s=b"", voltages=b"", flags=b""))
     connection.execute(of_run.where(FrameBlockRow.reading_time_s.is_not(None)).values(reading_time_s=b""))
-
-
-def _blocks(connection: Connection, run: str) -> Iterator[tuple[int, int, FrameBlock]]:
-    for row in with_arrays(connection, _rows(connection, run)):
-        yield row.phase, row.block, frame_block(row)
 
 
 def _rows(connection: Connection, run: str) -> list[Any]:

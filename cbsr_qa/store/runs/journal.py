@@ -14,7 +14,6 @@ from sqlalchemy import Connection, Engine, func, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
 from cbsr_qa.domain.run.attendance import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
 from cbsr_qa.domain.run.gate import GateAnswer
@@ -63,22 +62,15 @@ def shift_times(event: RunEvent, offset_s: float) -> RunEvent:
         case RunStarted() | StepRetried():
             return event
         case FramesTaken(frames=frames):
-            return replace(event, frames=_frames(frames, offset_s))
+            reading_time_s = None if frames.reading_time_s is None else frames.reading_time_s + offset_s
+            shifted = replace(frames, time_s=frames.time_s + offset_s, reading_time_s=reading_time_s)
+            return replace(event, frames=shifted)
         case SamplesTaken(samples=samples):
-            return replace(event, samples=_samples(samples, offset_s))
+            return replace(event, samples=replace(samples, time_s=samples.time_s + offset_s))
         case LoadFinished(record=record):
             return replace(event, record=_load(record, offset_s))
         case _:
             return replace(event, time_s=event.time_s + offset_s)
-
-
-def _frames(block: FrameBlock, offset_s: float) -> FrameBlock:
-    own = None if block.reading_time_s is None else block.reading_time_s + offset_s
-    return replace(block, time_s=block.time_s + offset_s, reading_time_s=own)
-
-
-def _samples(block: SampleBlock, offset_s: float) -> SampleBlock:
-    return replace(block, time_s=block.time_s + offset_s)
 
 
 def _load(record: LoadRecord, offset_s: float) -> LoadRecord:

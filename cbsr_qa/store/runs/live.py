@@ -158,11 +158,12 @@ class LiveRuns:
         """
         with reading(self._engine) as connection:
             current_state(connection, run)  # whether it exists
+            load_rows = select(*LoadRow.__table__.columns).where(LoadRow.run == run).order_by(LoadRow.press_start_s)
             frames = _latest(connection, FrameBlockRow, run, frames_after)
             samples = _latest(connection, SampleBlockRow, run, samples_after)
             return RunTail(
                 phases=_phases(connection, run),
-                loads=_loads(connection, run),
+                loads=tuple((row.phase, load_record(row)) for row in connection.execute(load_rows)),
                 frames=tuple((row.phase, frame_block(row)) for row in with_arrays(connection, frames)),
                 samples=tuple((row.phase, sample_block(row)) for row in samples),
                 frames_seen=_last(frames, frames_after),
@@ -243,11 +244,6 @@ def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
         )
         for row in connection.execute(phases_of(run))
     )
-
-
-def _loads(connection: Connection, run: str) -> tuple[tuple[int, LoadRecord], ...]:
-    query = select(*LoadRow.__table__.columns).where(LoadRow.run == run)
-    return tuple((row.phase, load_record(row)) for row in connection.execute(query.order_by(LoadRow.press_start_s)))
 
 
 def load_record(row: Any) -> LoadRecord:

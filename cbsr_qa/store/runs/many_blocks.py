@@ -25,7 +25,10 @@ class _Array:
 
 def check_many_frames(rows: Sequence[Any]) -> None:
     """Check that the arrays of rows match the digests in them, which are bytes; StoreError names a row."""
-    for (shape, unit, current_A, timed), some in _group_rows(rows, _kind_of_frames):
+    stated = attrgetter("frames", "drives", "measures", "unit", "current_a")
+    for (*shape, unit, current_A, timed), group in _group_rows(
+        rows, lambda row: (*stated(row), row.reading_time_s is not None)
+    ):
         readings = math.prod(shape)
         arrays = [_Array("time_s", 8 * shape[0], steps=True), _Array("voltages", 8 * readings)]
         arrays.append(_Array("flags", readings, 1))
@@ -33,18 +36,14 @@ def check_many_frames(rows: Sequence[Any]) -> None:
             arrays.append(_Array("reading_time_s", 8 * readings, steps=True))
         # The digest of a block without own times covers an empty array in their place.
         end = b"" if timed else bytes(8)
-        _check("frame", frame_header(shape, unit, current_A), arrays, end, some)
+        _check("frame", frame_header(tuple(shape), unit, current_A), arrays, end, group)
 
 
 def check_many_samples(rows: Sequence[Any]) -> None:
     """Check samples as :func:`check_many_frames` does frames."""
-    for (channel, unit, samples), some in _group_rows(rows, attrgetter("channel", "unit", "samples")):
+    for (channel, unit, samples), group in _group_rows(rows, attrgetter("channel", "unit", "samples")):
         arrays = [_Array("time_s", 8 * samples, steps=True), _Array("sample_values", 8 * samples)]
-        _check("sample", sample_header(channel, unit, samples), arrays, b"", some)
-
-
-def _kind_of_frames(row: Any) -> tuple[tuple[int, int, int], str, float | None, bool]:
-    return (row.frames, row.drives, row.measures), row.unit, row.current_a, row.reading_time_s is not None
+        _check("sample", sample_header(channel, unit, samples), arrays, b"", group)
 
 
 def _group_rows(rows: Sequence[Any], kind_of: Callable[[Any], Any]) -> Iterable[tuple[Any, list[Any]]]:

@@ -14,7 +14,6 @@ from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames, join_samples
-from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.attendance import pauses_of, prompts_of
 from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord, RunSession
@@ -98,7 +97,7 @@ class Runs:
             chain, row = check_run(connection, run), _find_run(connection, run)
             state = current_state(connection, run)
             states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
-            spent = _sum_seconds(pair for one in connection.scalars(states) for pair in one)
+            spent = _sum_seconds(pair for pairs in connection.scalars(states) for pair in pairs)
             try:
                 sessions = sessions_of(connection, run)
                 phases, set_aside = _phases(connection, run, sessions)
@@ -285,7 +284,7 @@ def _phases(
 
 
 def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ...]) -> tuple[PhaseRecord, int]:
-    loads = _loads(connection, row)
+    loads = [load_record(load) for load in _rows(connection, row, LoadRow, LoadRow.load_index)]
     spans = spans_that_count(connection, row, sessions, loads)
     frames, aside = _frames(connection, row, spans)
     marks = select(UnloadedMarkRow.time_s).where(UnloadedMarkRow.run == row.run, UnloadedMarkRow.phase == row.phase)
@@ -330,7 +329,3 @@ def _samples(connection: Connection, phase: Row[Any], spans: list[Span]) -> tupl
         for block, inside in kept
         if inside.any()
     )
-
-
-def _loads(connection: Connection, phase: Row[Any]) -> tuple[LoadRecord, ...]:
-    return tuple(load_record(row) for row in _rows(connection, phase, LoadRow, LoadRow.load_index))

@@ -166,16 +166,12 @@ def _stands(connection: Connection, run: str) -> tuple[str, str]:
     )
     begun = connection.execute(steps.order_by(StepRow.entry)).all()
     presses = [row for row in begun if row.step["step"] == "Press"]
-    if presses and not _has_finished(connection, run, phase.phase, presses[-1].time_s):
-        return phase.name, _words(presses[-1].step)
+    held = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase.phase)
+    if presses:
+        last_held_s = connection.scalar(held)
+        if last_held_s is None or last_held_s < presses[-1].time_s:  # the last press was not held to its end
+            return phase.name, _words(presses[-1].step)
     return phase.name, _words(begun[-1].step) if begun else "its first step"
-
-
-def _has_finished(connection: Connection, run: str, phase: int, pressed_s: float) -> bool:
-    """Whether a press that began at a time was held to its end."""
-    loads = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase)
-    last_s = connection.scalar(loads)
-    return last_s is not None and last_s >= pressed_s
 
 
 def _words(step: dict[str, Any]) -> str:

@@ -84,10 +84,15 @@ def verdict_pages(connection: Connection, runs: Sequence[str]) -> Iterator[list[
 
     A run of which a cell cannot be read, or holds an unknown outcome or end, is marked as an altered one is.
     """
-    read, instead = partial(_verdicts, connection), partial(_unreadable, connection)
+    mark_unreadable = partial(_unreadable, connection)
     for first in range(0, len(runs), RUNS_AT_ONCE):
-        some = runs[first : first + RUNS_AT_ONCE]
-        yield [one for found in read_apart(connection, some, read, instead) for one in found]
+        parts = read_apart(
+            connection,
+            runs[first : first + RUNS_AT_ONCE],
+            lambda batch: list(_each_verdict(connection, batch)),
+            mark_unreadable,
+        )
+        yield [verdict for part in parts for verdict in part]
 
 
 def read_verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
@@ -99,10 +104,6 @@ def read_verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[Store
 def verdict_of(connection: Connection, run: str) -> StoredVerdict | None:
     """Return what holds of a run; None if it is not stored."""
     return next(read_verdicts(connection, [run]), None)
-
-
-def _verdicts(connection: Connection, runs: Sequence[str]) -> list[StoredVerdict]:
-    return list(_each_verdict(connection, runs))
 
 
 def _unreadable(connection: Connection, run: str, problem: str) -> list[StoredVerdict]:
@@ -133,22 +134,15 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
         facts, chain = dict(zip(names, values, strict=True)), known_chains[chains[run]]
         state, analysis = state_of.get(run), analysis_of.get(run)
         if run in altered:
-            yield _mark_altered(facts, chain, state, altered[run])
+            end = EndReason.RUNNING if state is None else _ENDS.get(state[0], EndReason.RUNNING)
+            yield StoredVerdict(facts, chain, end, "", 0.0, altered=altered[run])
             continue
-        _check_shapes(facts)
-        found = StoredVerdict(facts, chain, *_read_end(run, state))
-        yield found if analysis is None else _with_result(found, analysis, decided.get((run, analysis[0])))
-
-
-def _check_shapes(facts: Mapping[str, Any]) -> None:
-    """Raise TypeError for JSON of another shape than its column's, which an unchained run may hold."""
-    if not (isinstance(facts["simulated"], list) and isinstance(facts["setting"], dict)):
-        raise TypeError("runs.simulated or runs.setting holds JSON of another shape")
-
-
-def _read_end(run: str, state: tuple[Any, ...] | None) -> tuple[EndReason, str, float]:
-    end, detail, time_s = state or (EndReason.RUNNING, "", 0.0)
-    return _ENDS.get(end) or read_word(EndReason, end, "run_states.end", f"run {run}"), detail, time_s
+        if not (isinstance(facts["simulated"], list) and isinstance(facts["setting"], dict)):  # of an unchained run
+            raise TypeError("runs.simulated or runs.setting holds JSON of another shape")
+        end, detail, station_s = state or (EndReason.RUNNING, "", 0.0)
+        end = _ENDS.get(end) or read_word(EndReason, end, "run_states.end", f"run {run}")
+        verdict = StoredVerdict(facts, chain, end, detail, station_s)
+        yield verdict if analysis is None else _with_result(verdict, analysis, decided.get((run, analysis[0])))
 
 
 def _with_result(found: StoredVerdict, analysis: tuple[Any, ...], override: tuple[Any, ...] | None) -> StoredVerdict:
@@ -171,10 +165,3 @@ def _with_result(found: StoredVerdict, analysis: tuple[Any, ...], override: tupl
         tuple((package, version) for package, version in software),
         decision,
     )
-
-
-def _mark_altered(
-    values: Mapping[str, Any], chain: ChainState, state: tuple[Any, ...] | None, problem: str
-) -> StoredVerdict:
-    end = EndReason.RUNNING if state is None else _ENDS.get(state[0], EndReason.RUNNING)
-    return StoredVerdict(values, chain, end, "", 0.0, altered=problem)

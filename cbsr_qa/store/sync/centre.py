@@ -8,7 +8,6 @@ from typing import Final
 
 from sqlalchemy import (
     ColumnElement,
-    Connection,
     Engine,
     exists,
     func,
@@ -129,9 +128,11 @@ def refuse(engine: Engine, *, kind: str, item: str, run: str | None, station: st
         same = [getattr(SyncRefusalRow, name) == value for name, value in key.items()]
         if connection.scalar(select(func.count()).select_from(SyncRefusalRow).where(*same, _is_open())):
             return
-        settled_at = _latest_settlement(connection, kind, item)
-        row = {"run": run, "why": error.reason, "noted_at": _later_moment(settled_at)}
-        connection.execute(insert(SyncRefusalRow), key | row)
+        row = SyncSettlementRow
+        settlements = read_rows_apart(connection, row, row.kind == kind, row.item == item).rows
+        settled_at = max((settlement["settled_at"] for settlement in settlements), default=None)
+        values = {"run": run, "why": error.reason, "noted_at": _later_moment(settled_at)}
+        connection.execute(insert(SyncRefusalRow), key | values)
 
 
 @dataclass(frozen=True, slots=True)
@@ -171,12 +172,6 @@ def settle(engine: Engine, kind: str, item: str) -> None:
             latest = max(one["noted_at"] for one in open_ones)
             settled = {"kind": kind, "item": item, "settled_at": _later_moment(latest)}
             connection.execute(insert(SyncSettlementRow), settled)
-
-
-def _latest_settlement(connection: Connection, kind: str, item: str) -> datetime | None:
-    row = SyncSettlementRow
-    settled = read_rows_apart(connection, row, row.kind == kind, row.item == item).rows
-    return max((one["settled_at"] for one in settled), default=None)
 
 
 def _is_open() -> ColumnElement[bool]:

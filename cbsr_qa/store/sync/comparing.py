@@ -84,8 +84,11 @@ def announce_since(station: Engine, day: date) -> None:
                 items = [item for item in connection.scalars(stored) if isinstance(item, str)]
         with writing(station) as connection:
             confirmed = _drop_announced(connection, kind, items)
-            links = _link_counts(connection) if kind is Kind.RUN and confirmed else {}
-            note_confirmed(connection, kind, {item: links.get(item, 1) for item in confirmed})
+            link_counts: dict[str, int] = {}
+            if kind is Kind.RUN and confirmed:
+                query = select(LinkRow.run, func.max(LinkRow.number) + 1).group_by(LinkRow.run)
+                link_counts = {row[0]: row[1] for row in connection.execute(query)}
+            note_confirmed(connection, kind, {item: link_counts.get(item, 1) for item in confirmed})
 
 
 def announce_missing(station: Engine) -> Mapping[str, begun.Gap]:
@@ -103,12 +106,6 @@ def _drop_announced(connection: Connection, kind: Kind, items: Iterable[str]) ->
     with keep_odd_text(connection):
         there = set(connection.scalars(stored))
     return [item for item in items if item not in there]
-
-
-def _link_counts(connection: Connection) -> dict[str, int]:
-    """Return the number of links of each chained run."""
-    counted = select(LinkRow.run, func.max(LinkRow.number) + 1).group_by(LinkRow.run)
-    return {row[0]: row[1] for row in connection.execute(counted)}
 
 
 def list_runs_only_at_centre(station: Engine, centre: Engine, day: date) -> tuple[str, ...]:

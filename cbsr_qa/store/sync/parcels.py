@@ -253,7 +253,9 @@ def _read_rows(
         if contents:
             yield table.name, _rows(connection, run, table, contents, archives)
     for analysis, content in wanted.get(FIGURES, {}).items():
-        _match(run, FIGURES, analysis, figures_digest(connection, analysis), content)
+        stored = figures_digest(connection, analysis)
+        if stored != content:
+            raise _unlike(run, FIGURES, analysis, stored, content)
 
 
 def _rows(
@@ -282,11 +284,6 @@ def _restore_row(row: Any, names: Sequence[str]) -> Sequence[Any]:
     block = frame_block(whole)
     values = vars(row) | {name: value for name, value in frame_values(block).items() if name in ARRAYS}
     return [values[name] for name in names]
-
-
-def _match(run: str, kind: str, key: str, stored: str | None, content: str) -> None:
-    if stored != content:
-        raise _unlike(run, kind, key, stored, content)
 
 
 def _unlike(run: str, kind: str, key: str, stored: str | None, content: str) -> AlteredError:

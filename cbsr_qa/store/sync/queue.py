@@ -48,8 +48,8 @@ class Entry:
 
 def waiting(engine: Engine) -> tuple[Entry, ...]:
     """Return what is to be sent, runs by age first; open runs of which the centre has all rows are left out."""
-    found, _ = _read_entries(engine, OutboxRow.state == str(EntryState.WAITING), _unsent())
-    return tuple(sorted(found, key=_place))
+    entries, _ = _read_entries(engine, OutboxRow.state == str(EntryState.WAITING), _unsent())
+    return tuple(sorted(entries, key=lambda entry: (_ORDER.index(Kind(entry.kind)), entry.item)))
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,13 +87,14 @@ def backlog(engine: Engine) -> Backlog:
     """Return how much waits for the central database, and how long."""
     entries = waiting(engine)
     oldest = min((entry.noted_at for entry in entries), default=None)
-    return Backlog(len(entries), None if oldest is None else _hours_since(oldest), len(name_unread(engine)))
+    age_h = None if oldest is None else max((datetime.now(UTC) - oldest).total_seconds() / 3600, 0.0)
+    return Backlog(len(entries), age_h, len(name_unread(engine)))
 
 
 def list_held(engine: Engine) -> tuple[Entry, ...]:
     """Return entries that are quarantined or were let go."""
-    found, _ = _read_entries(engine, OutboxRow.state != str(EntryState.WAITING))
-    return found
+    entries, _ = _read_entries(engine, OutboxRow.state != str(EntryState.WAITING))
+    return entries
 
 
 def name_unread(engine: Engine) -> tuple[str, ...]:
@@ -115,7 +116,8 @@ def confirm(engine: Engine, entry: Entry, version: int, *, more: bool) -> None:
         if not more:  # announced again meanwhile, it stays
             covered = max(version, entry.version)
             connection.execute(delete(row).where(*_is(entry.kind, entry.item), row.version <= covered))
-        values = {"sent": version, "version": _larger(row.version, version), "noted_at": func.current_timestamp()}
+        latest = case((row.version < version, version), else_=row.version)
+        values = {"sent": version, "version": latest, "noted_at": func.current_timestamp()}
         connection.execute(update(row).where(*_is(entry.kind, entry.item)).values(why="", **values))
 
 
@@ -173,17 +175,5 @@ def _find_unknown_word(row: Mapping[str, Any]) -> str:
     return ""
 
 
-def _place(entry: Entry) -> tuple[int, str]:
-    return _ORDER.index(Kind(entry.kind)), entry.item
-
-
 def _is(kind: str, item: str) -> tuple[ColumnElement[bool], ...]:
     return OutboxRow.kind == kind, OutboxRow.item == item
-
-
-def _larger(column: Any, value: int) -> ColumnElement[int]:
-    return case((column < value, value), else_=column)
-
-
-def _hours_since(moment: datetime) -> float:
-    return max((datetime.now(UTC) - moment).total_seconds() / 3600, 0.0)

@@ -1,6 +1,6 @@
 """One pass over the outbox: everything that waits is sent, in an order in which references hold."""
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 from datetime import date
@@ -39,8 +39,8 @@ from cbsr_qa.store.sync.queue import Entry, confirm, list_held, mark, name_unrea
 from cbsr_qa.store.sync.storing import RowRefusedError, WaitsError, store_item, store_parcel
 from cbsr_qa.store.tables.runs import RunRow
 
-#: Runs whose state at the centre is read at once.
-_AT_ONCE: Final = 64
+#: Entries that are sent before the states of further runs at the centre are read.
+_BATCH: Final = 64
 #: Ends what says that the centre lost something.
 _OR_ANOTHER: Final = ": it lost that, or is another database than the one that confirmed it; it was sent again"
 #: How often a run is tried that another sender of the same run overtook.
@@ -124,22 +124,23 @@ def send_waiting(
         entries = waiting(station)
         sent.unread += name_unread(station)
         sent.unread += (f"at the centre, {words}" for words in name_unread_refusals(centre))
-        refused = {(one.kind, one.item) for one in refusals(centre)}
+        refused = {(refusal.kind, refusal.item) for refusal in refusals(centre)}
         for entry in list_held(station):
             if entry.state == EntryState.LET_GO and (entry.kind, entry.item) in refused:
                 settle(centre, entry.kind, entry.item)
-        done = 0
-        for some in _batches(entries):
-            stands = tails(centre, [one.item for one in some if one.kind == Kind.RUN])
-            for entry in some:
-                if _send(station, centre, entry, stands, missing, sent) and (entry.kind, entry.item) in refused:
+        for first in range(0, len(entries), _BATCH):
+            batch = entries[first : first + _BATCH]
+            central_tails = tails(centre, [entry.item for entry in batch if entry.kind == Kind.RUN])
+            for done, entry in enumerate(batch, start=first + 1):
+                stored = _send(station, centre, entry, central_tails, missing, sent)
+                if stored and (entry.kind, entry.item) in refused:
                     settle(centre, entry.kind, entry.item)
-                done += 1
                 if progress is not None:
                     progress(done, len(entries), sent)
         if compare_since is not None:
             sent.added += map(_name_added_run, list_runs_only_at_centre(station, centre, compare_since))
-        sent.notes += other_runs_at_centre(station, centre, [one.item for one in entries if one.kind == Kind.RUN])
+        runs = [entry.item for entry in entries if entry.kind == Kind.RUN]
+        sent.notes += other_runs_at_centre(station, centre, runs)
     return sent
 
 
@@ -151,22 +152,17 @@ def _name_added_run(run: str) -> Added:
     return Added(run, why)
 
 
-def _batches(entries: Sequence[Entry]) -> Iterator[Sequence[Entry]]:
-    for first in range(0, len(entries), _AT_ONCE):
-        yield entries[first : first + _AT_ONCE]
-
-
 def _send(
     station: Engine,
     centre: Engine,
     entry: Entry,
-    stands: Mapping[str, Tail | None],
+    central_tails: Mapping[str, Tail | None],
     missing: Mapping[str, begun.Gap],
     sent: Sent,
 ) -> bool:
     """Send one entry; return whether the centre has it now."""
     gap = missing.get(entry.item) if entry.kind == Kind.RUN else None
-    tail, rows = stands.get(entry.item, NOTHING), sent.rows
+    tail, rows = central_tails.get(entry.item, NOTHING), sent.rows
     try:
         if gap is not None:
             raise AlteredError(gap.words)
@@ -221,10 +217,10 @@ def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, 
             sent.items, sent.runs = sent.items + new, sent.runs + new
             return
         except (AlteredError, RowRefusedError):
-            stands = tails(centre, [entry.item]).get(entry.item, NOTHING)
-            if not tries_left or stands == tail:
+            tail_now = tails(centre, [entry.item]).get(entry.item, NOTHING)
+            if not tries_left or tail_now == tail:
                 raise
-            tail = stands
+            tail = tail_now
 
 
 def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:

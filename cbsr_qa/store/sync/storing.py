@@ -46,7 +46,9 @@ def store_parcel(engine: Engine, parcel: Parcel) -> None:
         If the database cannot be reached or written.
     """
     with _one_transaction(engine) as connection:
-        _check_runs(connection, _earlier_runs(parcel))
+        changes = parcel.rows.get(ConfigurationChangeRow.__tablename__, ())
+        column = ConfigurationChangeRow.__table__.columns.keys().index("earlier_run")
+        _check_runs(connection, [row[column] for row in changes])
         if parcel.sensor is not None:
             _add_sensor(connection, parcel.sensor)
         _add_rows(connection, parcel.rows)
@@ -93,12 +95,6 @@ def _driver_words(error: object) -> str:
     """First line of a driver's message, and its detail, which names the key."""
     lines = str(error).strip().splitlines() or ["no reason given"]
     return "; ".join(" ".join(line.split())[:200] for line in lines[:2])
-
-
-def _earlier_runs(parcel: Parcel) -> tuple[str, ...]:
-    rows = parcel.rows.get(ConfigurationChangeRow.__tablename__, ())
-    at = ConfigurationChangeRow.__table__.columns.keys().index("earlier_run")
-    return tuple(row[at] for row in rows)
 
 
 def _check_runs(connection: Connection, runs: Sequence[str]) -> None:
