@@ -51,15 +51,11 @@ class Run(Result[RunOutcome]):
             self.run: str = store.runs.resolve(run)
 
     @cached_property
-    def _read(self) -> CommandOutcome[RunOutcome]:
+    def _outcome(self) -> CommandOutcome[RunOutcome]:
         if self._given is not None:
             return self._given
         with open_store(self._url, create=False) as store:
             return run_outcome(outcome_of_stored(self.run, store, discover()))
-
-    @property
-    def _outcome(self) -> CommandOutcome[RunOutcome]:
-        return self._read
 
     @cached_property
     def record(self) -> RunRecord:

@@ -185,7 +185,11 @@ def _describe_annotation(annotation: Any, rules: Sequence[Any]) -> str:
         *most, last = map(repr, parts)
         return f"{', '.join(most)} or {last}" if most else last
     if origin in (list, tuple):
-        return f"an array{_length(parts, rules)}, each {_describe_annotation(parts[0], ())}"
+        least = _find_bound(rules, "min_length")
+        length = f" of {len(parts)}"
+        if Ellipsis in parts or len(parts) == 1:
+            length = "" if least is None else f" of at least {least}"
+        return f"an array{length}, each {_describe_annotation(parts[0], ())}"
     if origin is Annotated:
         inner = [rule for part in parts[1:] for rule in (part.metadata if isinstance(part, FieldInfo) else [part])]
         described = [part.description for part in parts[1:] if isinstance(part, FieldInfo) and part.description]
@@ -206,13 +210,6 @@ def _table_words(table: type[BaseModel]) -> str:
     if not needed:  # of some, one is needed: rules of the table say so
         return f"a table of {', '.join(optional)}"
     return f"a table of {', '.join(needed)}" + (f" (optional: {', '.join(optional)})" if optional else "")
-
-
-def _length(parts: Sequence[Any], rules: Sequence[Any]) -> str:
-    least = _find_bound(rules, "min_length")
-    if Ellipsis in parts or len(parts) == 1:
-        return "" if least is None else f" of at least {least}"
-    return f" of {len(parts)}"
 
 
 def _bounds(rules: Sequence[Any]) -> str:

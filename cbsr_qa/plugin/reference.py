@@ -6,8 +6,6 @@ import re
 from collections.abc import Iterator, Mapping
 from typing import Any, Final
 
-from pydantic.fields import FieldInfo
-
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.listed import OptionReference, PluginReference
@@ -45,15 +43,16 @@ def plugin_reference(plugins: Plugins, kind: Kind, name: str) -> PluginReference
     factory = plugins.factory(kind, name)
     model = options_of(factory, handed=int(kind in (Kind.EFFECT, Kind.INSTRUMENT)))
     described = dict(_read_descriptions(factory))
-    options = tuple(_option(key, field, described.get(key, "")) for key, field in model.model_fields.items())
+    options = []
+    for option, field in model.model_fields.items():
+        unit = next((unit for ending, unit in _UNITS.items() if option.endswith(ending)), "")
+        is_unset = field.is_required() or field.default is None
+        default = "" if is_unset else json.dumps(field.default, ensure_ascii=False)
+        allowed, description = describe_allowed(field), described.get(option, "")
+        options.append(OptionReference(option, unit, allowed, default, field.is_required(), description))
     text = re.sub(r"(?<!\n)\n(?!\n|\s|[-=])", " ", inspect.getdoc(factory) or "")
-    return PluginReference(kind, name, text.partition("\n\n")[0], options, getattr(factory, "measures", None) or {})
-
-
-def _option(name: str, field: FieldInfo, description: str) -> OptionReference:
-    unit = next((unit for ending, unit in _UNITS.items() if name.endswith(ending)), "")
-    default = "" if field.is_required() or field.default is None else json.dumps(field.default, ensure_ascii=False)
-    return OptionReference(name, unit, describe_allowed(field), default, field.is_required(), description)
+    measures = getattr(factory, "measures", None) or {}
+    return PluginReference(kind, name, text.partition("\n\n")[0], tuple(options), measures)
 
 
 def _read_descriptions(factory: Any) -> Iterator[tuple[str, str]]:

@@ -35,19 +35,15 @@ def software_versions(plugins: Plugins) -> tuple[tuple[str, str], ...]:
 
 
 def _installation_versions() -> tuple[tuple[str, str], ...]:
-    found = []
+    versions = []
     for name in (*_NUMERICS, *_LINKS):
         try:
-            found.append((name, _version(name)))
+            # Ten times as fast as parsing all of the metadata.
+            stated = re.search(r"^Version: (\S+)\s*$", distribution(name).read_text("METADATA") or "", re.MULTILINE)
+            versions.append((name, version(name) if stated is None else stated[1]))
         except PackageNotFoundError:
-            found.append((name, NOT_INSTALLED))
-    return tuple(found)
-
-
-def _version(name: str) -> str:
-    """Return the version of an installed distribution, ten times as fast as parsing all of its metadata."""
-    stated = re.search(r"^Version: (\S+)\s*$", distribution(name).read_text("METADATA") or "", re.MULTILINE)
-    return version(name) if stated is None else stated[1]
+            versions.append((name, NOT_INSTALLED))
+    return tuple(versions)
 
 
 def kind_named(name: str | None) -> Kind | None:

@@ -244,12 +244,12 @@ def csv_text(rows: Iterable[Iterable[str | float | None]], *, line_end: str = "\
     files may hold, are escaped.
     """
     text = io.StringIO()
-    csv.writer(text, lineterminator=line_end).writerows(map(_cell, row) for row in rows)
+    writer = csv.writer(text, lineterminator=line_end)
+    for row in rows:
+        cells = list(row)
+        for column, value in enumerate(cells):
+            if isinstance(value, str):
+                escaped = value.encode("utf-8", "backslashreplace").decode()
+                cells[column] = f"'{escaped}" if escaped.startswith(_FORMULA) else escaped
+        writer.writerow(cells)
     return text.getvalue()
-
-
-def _cell(value: str | float | None) -> str | float | None:
-    if not isinstance(value, str):
-        return value
-    escaped = value.encode("utf-8", "backslashreplace").decode()
-    return f"'{escaped}" if escaped.startswith(_FORMULA) else escaped

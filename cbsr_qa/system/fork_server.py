@@ -58,10 +58,14 @@ class ForkServer:
         outgoing : descriptor that the child is given.
         modules : modules to import before the fork; all later children share them.
         """
+        try:
+            folder = str(Path.cwd())
+        except FileNotFoundError:  # it was removed, and paths relative to it name nothing
+            folder = "/"
         content = os.memfd_create("cbsr-qa-task")
         try:
             with os.fdopen(os.dup(content), "wb") as file:
-                pickle.dump((sys.path, _working_folder(), task), file)
+                pickle.dump((sys.path, folder, task), file)
             with self._lock:
                 message = _FORK + "\n".join(modules).encode()
                 socket.send_fds(self._requests, [message], [content, outgoing])
@@ -208,10 +212,3 @@ def _fork_child(content: int, outgoing: int) -> int:
         work(outgoing)
     finally:
         os._exit(0)
-
-
-def _working_folder() -> str:
-    try:
-        return str(Path.cwd())
-    except FileNotFoundError:  # it was removed, and paths relative to it name nothing
-        return "/"

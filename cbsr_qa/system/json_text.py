@@ -7,12 +7,13 @@ from itertools import accumulate
 from typing import Any, Final, NoReturn
 
 #: Most levels of lists and objects; no document of ours has more than ten.
-_DEEPEST: Final = 64
+_MAX_DEPTH: Final = 64
 _NOT_BRACKETS: Final = re.compile(r'"[^"\\]*+(?:\\.[^"\\]*+)*+"?|[^][{}"]+', re.DOTALL)
 _STEPS: Final = {"[": 1, "{": 1, "]": -1, "}": -1}
 #: Most digits of a whole number; no count, seed or time has as many.
-_MOST_DIGITS: Final = 40
-_LONGEST_QUOTE: Final = 60
+_MAX_DIGITS: Final = 40
+#: Longest part of the text in a message.
+_MAX_QUOTE_LENGTH: Final = 60
 
 
 def parse_json(text: str | bytes) -> Any:
@@ -22,26 +23,25 @@ def parse_json(text: str | bytes) -> Any:
     too large, or lists and objects are nested more than 64 deep.
     """
     decoded = text if isinstance(text, str) else text.decode("utf-8-sig")
-    if _depth(decoded) > _DEEPEST:
-        raise ValueError(f"lists and objects are nested more than {_DEEPEST} deep")
+    if decoded.count("[") + decoded.count("{") > _MAX_DEPTH:  # fewer cannot be nested deeper
+        depths = accumulate(_STEPS[bracket] for bracket in _NOT_BRACKETS.sub("", decoded))
+        if max(depths, default=0) > _MAX_DEPTH:
+            raise ValueError(f"lists and objects are nested more than {_MAX_DEPTH} deep")
     return json.loads(
-        decoded, object_pairs_hook=_object, parse_constant=_refuse_constant, parse_float=_finite, parse_int=_whole
+        decoded,
+        object_pairs_hook=_build_object,
+        parse_constant=_refuse_constant,
+        parse_float=_parse_float,
+        parse_int=_parse_int,
     )
 
 
-def _depth(text: str) -> int:
-    """Return how deep lists and objects are nested; 0 where there are too few of them to matter."""
-    if text.count("[") + text.count("{") <= _DEEPEST:
-        return 0
-    return max(accumulate(_STEPS[bracket] for bracket in _NOT_BRACKETS.sub("", text)), default=0)
-
-
-def _object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
+def _build_object(pairs: list[tuple[str, Any]]) -> dict[str, Any]:
     content = dict(pairs)
     if len(content) != len(pairs):
         seen_keys: set[str] = set()
         repeated_key = next(key for key, _ in pairs if key in seen_keys or seen_keys.add(key))  # type: ignore[func-returns-value]
-        raise ValueError(f"the key {repeated_key[:_LONGEST_QUOTE]!r} appears twice in one object")
+        raise ValueError(f"the key {repeated_key[:_MAX_QUOTE_LENGTH]!r} appears twice in one object")
     return content
 
 
@@ -49,14 +49,14 @@ def _refuse_constant(name: str) -> NoReturn:
     raise ValueError(f"{name} is not a number in JSON")
 
 
-def _finite(text: str) -> float:
+def _parse_float(text: str) -> float:
     value = float(text)
     if not math.isfinite(value):
-        raise ValueError(f"the number {text[:_LONGEST_QUOTE]} is too large")
+        raise ValueError(f"the number {text[:_MAX_QUOTE_LENGTH]} is too large")
     return value
 
 
-def _whole(text: str) -> int:
-    if len(text) > _MOST_DIGITS:
-        raise ValueError(f"the number {text[:_LONGEST_QUOTE]} is too large")
+def _parse_int(text: str) -> int:
+    if len(text) > _MAX_DIGITS:
+        raise ValueError(f"the number {text[:_MAX_QUOTE_LENGTH]} is too large")
     return int(text)

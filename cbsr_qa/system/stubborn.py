@@ -7,7 +7,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import Final
 
-_SAID: Final = b"cbsr-qa: a plugin does not stop: this process ends at once; everything measured is stored\n"
+_MESSAGE: Final = b"cbsr-qa: a plugin does not stop: this process ends at once; everything measured is stored\n"
 
 _watched: list[int] = []
 
@@ -24,13 +24,13 @@ def end_later(after_s: float) -> Callable[[], None]:
     """
     if os.getpid() not in _watched:
         return lambda: None
-    timer = threading.Timer(after_s, _end)
+    timer = threading.Timer(after_s, _kill_process)
     timer.daemon = True
     timer.start()
     return timer.cancel
 
 
-def _end() -> None:
+def _kill_process() -> None:
     with suppress(OSError):
-        os.write(2, _SAID)
+        os.write(2, _MESSAGE)
     os.kill(os.getpid(), getattr(signal, "SIGKILL", signal.SIGTERM))

@@ -4,10 +4,9 @@ import multiprocessing
 import os
 import signal
 import threading
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from multiprocessing.process import BaseProcess
 from typing import Final
 
 #: Environment variables from which numerical libraries take their number of threads when they are loaded.
@@ -24,7 +23,9 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
         try:
             yield pool
         except BaseException:
-            _stop(set(multiprocessing.active_children()) - set(earlier_children))
+            # In the middle of a piece of work, which may take minutes more.
+            for worker in set(multiprocessing.active_children()) - set(earlier_children):
+                worker.terminate()
             raise
 
 
@@ -66,9 +67,3 @@ def _end_with(parent: int) -> None:
     while os.getppid() == parent:
         never_set.wait(1.0)
     os._exit(1)
-
-
-def _stop(workers: Iterable[BaseProcess]) -> None:
-    """Stop processes in the middle of a piece, which may take minutes more."""
-    for worker in workers:
-        worker.terminate()

@@ -125,7 +125,11 @@ def symmetric_problem() -> SymmetricProblem:
 
 
 def _mesh() -> Mesh:
-    counts = [1, *(_on_ring(ring) for ring in range(1, _RINGS + 1))]
+    counts = [1]
+    for ring in range(1, _RINGS + 1):
+        # The number of electrodes, doubled until edges are about as long as on the rim.
+        doublings = max(0, round(np.log2(_RIM / _ELECTRODES * ring / _RINGS)))
+        counts.append(int(_ELECTRODES * 2**doublings))
     starts = np.concatenate([[0], np.cumsum(counts)])
     radii = _RADIUS_MM * np.arange(_RINGS + 1) / _RINGS
     angles = [2 * np.pi * np.arange(count) / count for count in counts]
@@ -138,12 +142,6 @@ def _mesh() -> Mesh:
     first = _RIM // _ELECTRODES * np.arange(_ELECTRODES)
     edges = tuple(starts[-2] + np.array([[k - 1, k], [k, k + 1]]) % _RIM for k in first)
     return Mesh(nodes, np.vstack(elements), edges)
-
-
-def _on_ring(ring: int) -> int:
-    """Nodes on a ring: the number of electrodes, doubled until edges are about as long as on the rim."""
-    doublings = max(0, round(np.log2(_RIM / _ELECTRODES * ring / _RINGS)))
-    return int(_ELECTRODES * 2**doublings)
 
 
 def _strip(inner: int, inner_count: int, outer: int, outer_count: int) -> Indices:

@@ -20,7 +20,7 @@ from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.files import calibration_response, prompt_picture, report_response
 from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right, client_of
 from cbsr_qa.web.guesses import TooManyGuessesError
-from cbsr_qa.web.line import MOST_LOOKERS, MOST_VIEWERS, Line, Viewer
+from cbsr_qa.web.line import MAX_READ_ONLY_VIEWERS, MAX_VIEWERS, Line, Viewer
 from cbsr_qa.web.pages import Pages, Part, picture_address
 from cbsr_qa.web.shift import sensor_page, shift_page
 from cbsr_qa.web.streams import EventStream
@@ -135,8 +135,9 @@ class Site:
         return self._events(Viewer(name, _controls(request)), lambda: self._pages.station_parts(name), picture)
 
     def _events(self, viewer: Viewer, parts: Callable[[], list[Part]], picture: Callable[[], str]) -> Response:
-        looker_count = sum(not open_viewer.control for open_viewer in self._line.viewers)
-        if len(self._line.viewers) >= MOST_VIEWERS or (not viewer.control and looker_count >= MOST_LOOKERS):
+        read_only_viewers = sum(not open_viewer.control for open_viewer in self._line.viewers)
+        may_look = viewer.control or read_only_viewers < MAX_READ_ONLY_VIEWERS
+        if len(self._line.viewers) >= MAX_VIEWERS or not may_look:
             LOG.warning("%s", text("refused.streams"))
             return PlainTextResponse(text("refused.streams"), HTTPStatus.SERVICE_UNAVAILABLE)
         return EventStream(self._line, viewer, parts, picture)

@@ -3,7 +3,6 @@
 import io
 from collections.abc import Sequence
 from dataclasses import dataclass
-from functools import cache
 from math import ceil, floor, log10
 from typing import Any, Final, Self
 
@@ -20,10 +19,10 @@ WIDTH: Final = 480.0
 HEIGHT: Final = 110.0
 
 
-@cache
-def _palette() -> bytes:
-    colours = np.round(255 * np.asarray(CHANGE_MAP(np.linspace(0, 1, 255)))[:, :3]).astype(np.uint8)
-    return colours.tobytes() + bytes(3)
+#: Palette of an image: 255 colours of the scale, and one that is transparent.
+_PALETTE: Final = np.round(255 * np.asarray(CHANGE_MAP(np.linspace(0, 1, 255)))[:, :3]).astype(
+    np.uint8
+).tobytes() + bytes(3)
 
 
 def png(picture: "np.ma.MaskedArray[Any, np.dtype[np.float64]]", largest: float) -> bytes:
@@ -39,7 +38,7 @@ def png(picture: "np.ma.MaskedArray[Any, np.dtype[np.float64]]", largest: float)
     scaled = np.clip(127 + 127 * picture.filled(0.0) / largest, 0, 254)
     index = np.where(np.ma.getmaskarray(picture), 255, np.round(scaled)).astype(np.uint8)
     image = Image.fromarray(index[::-1], "P")
-    image.putpalette(_palette())
+    image.putpalette(_PALETTE)
     file = io.BytesIO()
     image.save(file, "PNG", transparency=255)
     return file.getvalue()
@@ -76,7 +75,11 @@ def trace(points: Sequence[tuple[float, float]], span_s: float, least: float) ->
     if not points:
         return Trace("", 0.0, least, None, None)
     values = [value for _, value in points]
-    low, high = _widen_range(min(0.0, *values), max(least, *values))
+    low, high = min(0.0, *values), max(least, *values)
+    # The range is widened to round numbers, so that the scale rarely changes.
+    step = 10.0 ** floor(log10(max(high - low, 1e-9)))
+    step = step if (high - low) / step >= 4 else step / 2
+    low, high = step * floor(low / step + 1e-9), step * ceil(high / step - 1e-9)
     end_s = points[-1][0]
 
     def y(value: float) -> float:
@@ -84,13 +87,6 @@ def trace(points: Sequence[tuple[float, float]], span_s: float, least: float) ->
 
     line = " ".join(f"{WIDTH * (1 - (end_s - time_s) / span_s):.1f},{y(value):.1f}" for time_s, value in points)
     return Trace(line, low, high, values[-1], y(0.0) if low <= 0 <= high else None)
-
-
-def _widen_range(low: float, high: float) -> tuple[float, float]:
-    """Widen a range to round numbers, so that the scale rarely changes."""
-    step = 10.0 ** floor(log10(max(high - low, 1e-9)))
-    step = step if (high - low) / step >= 4 else step / 2
-    return step * floor(low / step + 1e-9), step * ceil(high / step - 1e-9)
 
 
 @dataclass(frozen=True, slots=True)

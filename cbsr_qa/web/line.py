@@ -11,8 +11,8 @@ from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
 
 #: Most pages that may be open at once: all, and those that may only look.
-MOST_VIEWERS = 256
-MOST_LOOKERS = 192
+MAX_VIEWERS = 256
+MAX_READ_ONLY_VIEWERS = 192
 
 
 @dataclass(eq=False)

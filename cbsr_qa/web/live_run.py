@@ -229,14 +229,12 @@ class LiveRun:
     def _judge_places(self, preview: LivePreview, tail: RunTail) -> None:
         for phase, record in tail.loads:
             key = (phase, record.index)
-            if key not in self._seen and self._role(phase) is Role.GRID:
+            role = self._schedule[phase].role if phase < len(self._schedule) else Role.OTHER
+            if key not in self._seen and role is Role.GRID:
                 start_s = max(record.hold_start_s, record.release_start_s - _STEADY_S)
                 steady_frames = self._store.live.read_frames(self.run, phase, start_s, record.release_start_s)
                 if steady_frames is not None:
                     self._seen[key] = preview.place(record.load, steady_frames)
-
-    def _role(self, phase: int) -> Role:
-        return self._schedule[phase].role if phase < len(self._schedule) else Role.OTHER
 
 
 def _forget(trace: deque[tuple[float, float]]) -> None:

@@ -2,7 +2,6 @@
 
 import hashlib
 import json
-from collections.abc import Sequence
 from dataclasses import dataclass
 from time import monotonic
 from typing import Any, Final, Self
@@ -19,7 +18,6 @@ from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import TRACE_S, Place
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode, Snapshot
-from cbsr_qa.web.stations import OfferedRecipe
 from cbsr_qa.web.texts import text
 
 #: Sign of each kind of badge.
@@ -307,14 +305,16 @@ class Pages:
 
     def _names(self, name: str) -> dict[str, Any]:
         watch = self._line.stations[name]
-        recipes = watch.served.recipes
+        snapshot, recipes = watch.snapshot, watch.served.recipes
+        recipe_names = [recipe.name for recipe in recipes]
+        last_recipe = "" if snapshot is None or snapshot.look is None else snapshot.look.recipe
         return {
-            "s": watch.snapshot,
+            "s": snapshot,
             "name": name,
             "base": _base(name),
             "recipes": recipes,
             "asks_operator": watch.served.asks_operator,
-            "chosen_recipe": lambda snapshot: _choose_recipe(recipes, snapshot),
+            "chosen_recipe": last_recipe if last_recipe in recipe_names else recipe_names[0],
         }
 
 
@@ -332,9 +332,3 @@ def _layout(snapshot: Snapshot | None) -> str:
 
 def _trouble(snapshot: Snapshot | None) -> str:
     return "" if snapshot is None else snapshot.trouble
-
-
-def _choose_recipe(recipes: Sequence[OfferedRecipe], snapshot: Snapshot | None) -> str:
-    names = [recipe.name for recipe in recipes]
-    last_recipe = "" if snapshot is None or snapshot.look is None else snapshot.look.recipe
-    return last_recipe if last_recipe in names else names[0]

@@ -91,10 +91,13 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
     program = own_command("run", *arguments)
     unit = f"cbsr-qa-run-{station}-{log.stem}".replace(".", "_").replace(" ", "_")
     try:
-        _forget_old(folder)
+        for old_log in sorted(folder.glob("*.log"))[: -_KEPT_LOGS or None]:
+            old_log.unlink(missing_ok=True)
+        scope = _scope()
+        own_unit = [*scope, f"--unit={unit}"] if scope else []
         with log.open("xb") as output:
             process = subprocess.Popen(  # arguments are checked values, and no shell reads them
-                [*_own_unit(unit), *program],
+                [*own_unit, *program],
                 stdin=subprocess.PIPE if pin else subprocess.DEVNULL,
                 stdout=output,
                 stderr=subprocess.STDOUT,
@@ -109,14 +112,9 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
     return Started(process, what, log, started_at)
 
 
-def _own_unit(unit: str) -> list[str]:
-    """Return the command that starts a program as its own unit of systemd; empty if this process is in none."""
-    scope = _scope()
-    return [*scope, f"--unit={unit}"] if scope else []
-
-
 @cache
 def _scope() -> tuple[str, ...]:
+    """Return the command that starts a program as its own unit of systemd; empty if this process is in none."""
     program = shutil.which("systemd-run")
     if "INVOCATION_ID" not in os.environ or program is None:
         return ()
@@ -127,9 +125,3 @@ def _scope() -> tuple[str, ...]:
         LOG.warning("systemd-run makes no units for runs (%s); KillMode=process keeps runs alive", trial.stderr)
         return ()
     return scope
-
-
-def _forget_old(folder: Path) -> None:
-    logs = sorted(folder.glob("*.log"))
-    for log in logs[: -_KEPT_LOGS or None]:
-        log.unlink(missing_ok=True)

@@ -131,7 +131,10 @@ def mode_of(
     starting : whether a process that this page started is alive.
     begun : whether ``look`` is of that process.
     """
-    if control is not None and not _has_ended(control, look):
+    has_ended = (
+        control is not None and look is not None and look.run == control.run and look.end is not EndReason.RUNNING
+    )
+    if control is not None and not has_ended:
         if control.prompt is not None:
             return Mode.ASKING
         return Mode.RUNNING if control.paused_by is None else Mode.PAUSED
@@ -141,10 +144,6 @@ def mode_of(
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD
     return Mode.READY if look is None else Mode.INTERRUPTED if look.end is EndReason.RUNNING else Mode.DONE
-
-
-def _has_ended(control: Control, look: RunLook | None) -> bool:
-    return look is not None and look.run == control.run and look.end is not EndReason.RUNNING
 
 
 def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool) -> Control:
@@ -161,6 +160,10 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
     """
     load, prompt, paused, pause_wanted = (state.get(key) for key in ("load", "prompt", "paused", "pause_wanted"))
     press = state.get("next") if load is None else load
+    remaining_s, speed = state.get("remaining_s"), state.get("clock_speed")
+    ends_at = None
+    if remaining_s is not None and speed is not None:  # otherwise it is unknown, or the run's clock does not wait
+        ends_at = monotonic() + float(remaining_s) / float(speed)
     return Control(
         run=str(state.get("run") or ""),  # known once its first row is stored, which may be after the hello
         serial=str(hello["serial"]),
@@ -173,7 +176,7 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         number=0 if press is None else int(press["number"]),
         of=0 if press is None else int(press["of"]),
         next=load is None,
-        ends_at=_ends_at(state),
+        ends_at=ends_at,
         paused_by=None if paused is None else str(paused.get("by") or ""),
         pause_wanted_by=str(pause_wanted) if pause_wanted else None,
         prompt=None
@@ -181,9 +184,3 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         else Prompt(int(prompt["prompt"]), str(prompt["text"]), bool(prompt["picture"])),
         warnings=tuple(map(str, state.get("warnings") or ())),
     )
-
-
-def _ends_at(state: Mapping[str, Any]) -> float | None:
-    """Return when a run is expected to end; None if that is not known, or its clock does not wait."""
-    remaining_s, speed = state.get("remaining_s"), state.get("clock_speed")
-    return None if remaining_s is None or speed is None else monotonic() + float(remaining_s) / float(speed)

@@ -83,16 +83,12 @@ def _load_station(source: str, offered: tuple[OfferedRecipe, ...], plugins: Plug
 
 
 def _load_recipes(recipes: Sequence[str], plugins: Plugins) -> tuple[OfferedRecipe, ...]:
-    sources = tuple(recipes) or _list_shipped_recipes()
+    sources = tuple(recipes)
+    if not sources:  # the shipped ones for a line, the shortest production test first
+        sources = tuple(sorted(list_shipped(DocumentKind.RECIPE), key=lambda name: (name != "nine-locations", name)))
     offered = tuple(OfferedRecipe(load_recipe(source, plugins).value.name, source) for source in sources)
     _check_unique("recipe", [(recipe.name, recipe.source) for recipe in offered])
     return offered
-
-
-def _list_shipped_recipes() -> tuple[str, ...]:
-    """The shipped recipes for a line, the shortest production test first."""
-    names = list_shipped(DocumentKind.RECIPE)
-    return tuple(sorted(names, key=lambda name: (name != "nine-locations", name)))
 
 
 def _check_unique(noun: str, named: Sequence[tuple[str, str]]) -> None:

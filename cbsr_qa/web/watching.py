@@ -15,7 +15,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.runs.live import ChangeNotice, RunLook
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.guard import LOG
-from cbsr_qa.web.live_run import LiveRun, LiveView
+from cbsr_qa.web.live_run import LiveRun
 from cbsr_qa.web.processes import Started, last_start
 from cbsr_qa.web.state import Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
@@ -78,12 +78,6 @@ class StationWatch:
         """Whether the run that was started last is stored, at least with its beginning."""
         return self.started is not None and self.look is not None and self.look.worked_at > self.started.at
 
-    @property
-    def _followed(self) -> bool:
-        """Whether the run of the channel is the run that was read from the store."""
-        control, look = self.channel.control, self.look
-        return control is not None and look is not None and control.run == look.run
-
     def wake(self) -> None:
         """Have a look soon."""
         self._due = True
@@ -114,6 +108,9 @@ class StationWatch:
         if not trouble:
             self._said = ""
         live = None if self.live is None else self.live.view("" if control is None else control.place)
+        silent_s = None if live is None else live.silent_s
+        if not trouble and mode is Mode.RUNNING and silent_s is not None and silent_s >= SILENT_S:
+            trouble = text("trouble.silent", seconds=round(silent_s))
         self.snapshot = Snapshot(
             station=self.served.name,
             mode=mode,
@@ -122,7 +119,7 @@ class StationWatch:
             live=live,
             starting=started.what if started is not None else "",
             refused=self._describe_refusal(),
-            trouble=trouble or _silence(mode, live),
+            trouble=trouble,
             health=self._health,
             healthy=self._healthy,
         )
@@ -130,8 +127,10 @@ class StationWatch:
 
     def _read(self, store: Repository, now_s: float) -> str:
         """Read the latest run and the latest station check; return the problem, empty without one."""
+        control, look = self.channel.control, self.look
+        has_read_its_run = control is not None and look is not None and control.run == look.run
         try:
-            if not self._followed or now_s >= self._look_s:
+            if not has_read_its_run or now_s >= self._look_s:
                 self.look, self._look_s = store.live.find_latest(self.served.name), now_s + _END_S
             self._look_after(store, now_s)
         except Exception as error:  # noqa: BLE001 - a run that cannot be read must not stop the watching of others
@@ -185,12 +184,6 @@ class StationWatch:
         if limit_h is not None and (backlog := store.read_backlog()).late(limit_h):
             self._healthy = False
             self._health += f"; {text('health.backlog', backlog=backlog.words, hours=f'{limit_h:g}')}"
-
-
-def _silence(mode: Mode, live: LiveView | None) -> str:
-    if mode is not Mode.RUNNING or live is None or live.silent_s is None or live.silent_s < SILENT_S:
-        return ""
-    return text("trouble.silent", seconds=round(live.silent_s))
 
 
 class Watcher(threading.Thread):

@@ -58,7 +58,7 @@ async def _short(scope, receive, send):
 
 def test_of_what_a_stranger_sends_a_head_is_searched_and_little_is_kept(monkeypatch):
     looks, kept = [], []
-    monkeypatch.setattr(connections.Connection, "take_turn", lambda self: kept.append(len(self._unread)))
+    monkeypatch.setattr(connections.Connection, "read_received", lambda self: kept.append(len(self._unread)))
 
     async def loud(server, port):
         _, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -70,13 +70,13 @@ def test_of_what_a_stranger_sends_a_head_is_searched_and_little_is_kept(monkeypa
         writer.transport.abort()
 
     run_coroutine(_served(_short, loud, lambda sent: looks.append(len(sent))))
-    assert sum(looks) <= 2 * connections.MOST_HEAD
-    assert kept[-1] <= connections.MOST_HEAD + 2**18  # what one call of the system brings
+    assert sum(looks) <= 2 * connections.MAX_HEAD_BYTES
+    assert kept[-1] <= connections.MAX_HEAD_BYTES + 2**18  # what one call of the system brings
 
 
 def test_a_token_is_seen_that_arrives_in_two_parts_while_the_connection_waits(monkeypatch):
     turns = []
-    monkeypatch.setattr(connections.Connection, "take_turn", lambda self: turns.append(self._has_shown_token))
+    monkeypatch.setattr(connections.Connection, "read_received", lambda self: turns.append(self._has_shown_token))
 
     async def late(server, port):
         _, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -90,9 +90,9 @@ def test_a_token_is_seen_that_arrives_in_two_parts_while_the_connection_waits(mo
 
 
 def test_requests_that_a_stranger_sends_at_once_are_answered_a_turn_each(monkeypatch):
-    turns = []
-    take_turn = connections.Connection.take_turn
-    monkeypatch.setattr(connections.Connection, "take_turn", lambda self: (turns.append(self), take_turn(self)))
+    reads = []
+    read = connections.Connection.read_received
+    monkeypatch.setattr(connections.Connection, "read_received", lambda self: (reads.append(self), read(self)))
 
     async def hasty(server, port):
         reader, writer = await asyncio.open_connection("127.0.0.1", port)
@@ -102,4 +102,4 @@ def test_requests_that_a_stranger_sends_at_once_are_answered_a_turn_each(monkeyp
         writer.close()
 
     run_coroutine(_served(_short, hasty))
-    assert len(turns) >= 500
+    assert len(reads) >= 500

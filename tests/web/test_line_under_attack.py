@@ -14,7 +14,7 @@ import pytest
 from served_line import PIN, TOKEN, until
 
 from cbsr_qa.web.application import Site
-from cbsr_qa.web.line import MOST_LOOKERS, Viewer
+from cbsr_qa.web.line import MAX_READ_ONLY_VIEWERS, Viewer
 
 _PROJECT = Path(__file__).parents[2]
 _FORM = {"Content-Type": "application/x-www-form-urlencoded"}
@@ -125,7 +125,7 @@ def test_every_head_has_to_arrive_in_time(line):
 
 @pytest.mark.parametrize(("control", "status"), [(False, 503), (True, 200)])
 def test_pages_that_only_look_leave_room_for_those_that_control(control, status):
-    lookers = SimpleNamespace(viewers={Viewer(None, control=False) for _ in range(MOST_LOOKERS)})
+    lookers = SimpleNamespace(viewers={Viewer(None, control=False) for _ in range(MAX_READ_ONLY_VIEWERS)})
     site = Site(lookers, None, None)
     assert site._events(Viewer(None, control=control), list, str).status_code == status
 

@@ -8,7 +8,7 @@ import sys
 import tempfile
 from contextlib import suppress
 from pathlib import Path
-from typing import Any, Final
+from typing import Final
 
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.system.clock import RealClock
@@ -17,7 +17,7 @@ from cbsr_qa.system.json_text import parse_json
 
 #: Below the computer's directory for temporary files, so that programs of all its users meet there.
 _FOLDER: Final = "cbsr-qa-locks"
-_LONGEST_COMMAND: Final = 160
+_MAX_COMMAND_LENGTH: Final = 160
 
 
 class AddressLock:
@@ -34,11 +34,14 @@ class AddressLock:
 
     def __init__(self, role: str, address: str, *, device: str = "") -> None:
         path = lock_path(device or address)
+        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:_MAX_COMMAND_LENGTH]
+        since = RealClock().wall().isoformat(timespec="seconds")
+        own_name = {"pid": os.getpid(), "command": command, "role": role, "since": since}
         try:
             with suppress(FileExistsError):
                 path.parent.mkdir()
                 path.parent.chmod(0o1777)
-            self._lock = FileLock(path, json.dumps(_self(role)).encode(), shared=True)
+            self._lock = FileLock(path, json.dumps(own_name).encode(), shared=True)
         except HeldError as error:
             by = _holder(error.who)
             raise InstrumentError(
@@ -57,12 +60,6 @@ def lock_path(address: str) -> Path:
     """File that is locked for an address."""
     resolved = str(Path(address).resolve()) if address.startswith("/") else address.strip().upper()
     return Path(tempfile.gettempdir()) / _FOLDER / hashlib.sha256(resolved.encode()).hexdigest()[:32]
-
-
-def _self(role: str) -> dict[str, Any]:
-    command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:_LONGEST_COMMAND]
-    since = RealClock().wall().isoformat(timespec="seconds")
-    return {"pid": os.getpid(), "command": command, "role": role, "since": since}
 
 
 def _holder(text: bytes) -> str:

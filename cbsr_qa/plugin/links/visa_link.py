@@ -96,7 +96,8 @@ class VisaLink:
         """
         self.write(text)
         size = len(_HEADER) + count * np.dtype(_SINGLE).itemsize
-        data = self._bytes(size + 1 + (len(mark) + 1 if mark else 0))
+        with self._convert_errors():
+            data = bytes(self._resource.read_bytes(size + 1 + (len(mark) + 1 if mark else 0)))
         if not data.startswith(_HEADER) or data[size : size + 1] != b"\n":
             raise self.error(f"answered {data[:16]!r}, not {count} binary numbers", retryable=True)
         if mark and data[size + 1 :] != mark.encode("ascii") + b"\n":
@@ -145,10 +146,6 @@ class VisaLink:
         with self._convert_errors():
             return bytes(self._resource.read_raw()).decode("ascii", "replace").rstrip("\r\n")
 
-    def _bytes(self, count: int) -> bytes:
-        with self._convert_errors():
-            return bytes(self._resource.read_bytes(count))
-
     def _open_resource(self) -> Any:
         try:
             if self._backend not in _managers:
@@ -164,14 +161,12 @@ class VisaLink:
             )
             resource.read_termination = "\n"
         except Exception as error:
-            raise self._opening_error(error) from error
+            address_codes = (StatusCode.error_invalid_resource_name, StatusCode.error_invalid_setup)
+            if isinstance(error, AttributeError) or getattr(error, "error_code", None) in address_codes:
+                reason = f"instrument {self.role!r}: {self.address!r} is not a VISA resource"
+                raise ConfigError(reason, remedy=_EXAMPLE) from error
+            raise self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True) from error
         return resource
-
-    def _opening_error(self, error: Exception) -> ConfigError | InstrumentError:
-        named = (StatusCode.error_invalid_resource_name, StatusCode.error_invalid_setup)
-        if isinstance(error, AttributeError) or getattr(error, "error_code", None) in named:
-            return ConfigError(f"instrument {self.role!r}: {self.address!r} is not a VISA resource", remedy=_EXAMPLE)
-        return self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True)
 
     @contextmanager
     def _convert_errors(self) -> Iterator[None]:

@@ -1,6 +1,6 @@
 """Stored runs: loaded in full for analysis, or looked up."""
 
-from collections.abc import Iterable
+from collections import defaultdict
 from dataclasses import dataclass
 from datetime import datetime
 from itertools import groupby
@@ -97,7 +97,10 @@ class Runs:
             chain, row = check_run(connection, run), _find_run(connection, run)
             state = current_state(connection, run)
             states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
-            spent = _sum_seconds(pair for pairs in connection.scalars(states) for pair in pairs)
+            spent_s: defaultdict[str, float] = defaultdict(float)
+            for session_spent in connection.scalars(states):
+                for kind, duration_s in session_spent:
+                    spent_s[kind] += duration_s
             try:
                 sessions = sessions_of(connection, run)
                 phases, set_aside = _phases(connection, run, sessions)
@@ -111,7 +114,7 @@ class Runs:
                     end=EndReason(state.end),
                     end_detail=state.detail,
                     station_s=last_time_s(connection, run),
-                    spent=spent,
+                    spent=tuple(spent_s.items()),
                     sessions=sessions,
                     set_aside=set_aside,
                     pauses=pauses_of(attended),
@@ -266,13 +269,6 @@ def _find_run(connection: Connection, run: str) -> Row[Any]:
     if row is None:
         raise StoreError(f"there is no run {run[:64]!r} in this database")
     return row
-
-
-def _sum_seconds(pairs: Iterable[list[Any]]) -> tuple[tuple[str, float], ...]:
-    seconds: dict[str, float] = {}
-    for kind, spent_s in pairs:
-        seconds[kind] = seconds.get(kind, 0.0) + spent_s
-    return tuple(seconds.items())
 
 
 def _phases(

@@ -57,7 +57,8 @@ def check_centre(engine: Engine, station: Engine) -> None:
                 remedy=f"upgrade the central database first: {upgrade}",
             )
         case Age.NEWER:
-            oldest = _oldest_sender(engine)
+            with reading(engine) as connection:
+                oldest = connection.scalar(select(func.max(SyncAcceptsRow.oldest_schema)))
             if oldest is None or oldest > HEAD:
                 whom = "states no schema of stations that it accepts"
                 if oldest is not None:
@@ -68,11 +69,6 @@ def check_centre(engine: Engine, station: Engine) -> None:
                 )
         case _:
             raise refusal(engine, version)
-
-
-def _oldest_sender(engine: Engine) -> str | None:
-    with reading(engine) as connection:
-        return connection.scalar(select(func.max(SyncAcceptsRow.oldest_schema)))
 
 
 def tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:

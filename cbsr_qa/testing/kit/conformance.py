@@ -244,7 +244,8 @@ def carry_out(kind: Kind, name: str, check: Check) -> Iterable[PluginCheck]:
         if not isinstance(error, Exception | SystemExit):
             raise
         what = str(error) if isinstance(error, AssertionError) else failure(error)
-        return [PluginCheck(kind, name, _name_of(check), CheckOutcome.FAILED, what, rule, remedy)]
+        check_name = _function(check).__name__.removeprefix("check_").replace("_", " ")
+        return [PluginCheck(kind, name, check_name, CheckOutcome.FAILED, what, rule, remedy)]
     return [
         PluginCheck(
             kind,
@@ -261,10 +262,6 @@ def carry_out(kind: Kind, name: str, check: Check) -> Iterable[PluginCheck]:
 
 def _function(check: Check) -> Callable[..., Any]:
     return check.func if isinstance(check, partial) else check
-
-
-def _name_of(check: Check) -> str:
-    return _function(check).__name__.removeprefix("check_").replace("_", " ")
 
 
 def _rule(check: Check) -> tuple[str, str]:

@@ -5,7 +5,7 @@ from itertools import groupby
 from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
 from cbsr_qa.plugin import Paragraph
 from cbsr_qa.report.tables import plural, text_table
-from cbsr_qa.testing.kit.conformance import CheckedPlugins, CheckOutcome, PluginCheck, describe_check
+from cbsr_qa.testing.kit.conformance import CheckedPlugins, CheckOutcome, describe_check
 
 
 def checks_outcome(checked: CheckedPlugins) -> CommandOutcome[CheckedPlugins]:
@@ -17,16 +17,12 @@ def checks_outcome(checked: CheckedPlugins) -> CommandOutcome[CheckedPlugins]:
         banner = Banner("fail", "✗", f"{checked.failed} of {total} failed", f"{first.check}: {first.found}")
     else:
         banner = Banner("pass", "✓", f"{plural(checked.passed, 'check')} passed", "")
-    sections = [
-        _table(plugin, list(checks)) for plugin, checks in groupby(checked.checks, lambda c: (c.kind, c.name))
-    ]
+    sections: list[Section] = []
+    for (kind, name), checks in groupby(checked.checks, lambda check: (check.kind, check.name)):
+        rows = [(check.check, check.outcome.value, check.found) for check in checks]
+        table = text_table("Checks.", ("check", "outcome", "found"), rows)
+        sections.append(Section(f"{kind.capitalize()} {name}", (table,)))
     if failed:
         blocks = tuple(Paragraph(line) for check in failed for line in describe_check(check).splitlines())
         sections.append(Section("What to change", blocks))
     return CommandOutcome(checked, Page("", "", banner, ()), tuple(sections), exit_code=int(bool(failed)))
-
-
-def _table(plugin: tuple[str, str], checks: list[PluginCheck]) -> Section:
-    rows = [(check.check, check.outcome.value, check.found) for check in checks]
-    kind, name = plugin
-    return Section(f"{kind.capitalize()} {name}", (text_table("Checks.", ("check", "outcome", "found"), rows),))

@@ -4,8 +4,8 @@ import asyncio
 
 import pytest
 
+from cbsr_qa.web.connection_limits import MAX_NEW, MAX_OPEN, ConnectionLimiter
 from cbsr_qa.web.guard import Access, Right
-from cbsr_qa.web.turns import MOST_NEW, PLACES, Turns
 from tests.samples.loops import run_coroutine
 
 _TOKEN = "token-of-these-tests-only"
@@ -32,41 +32,41 @@ def test_the_token_is_seen_in_each_form_that_counts(said, shown):
 class _Connection:
     right, is_answering, client_name = Right.NONE, False, "127.0.0.1"
 
-    def __init__(self, opened_s=0.0, looks=0):
-        self.opened_s, self.looks = opened_s, looks
-        self.turns, self.has_left = 0, False
+    def __init__(self, opened_s=0.0, checks=0):
+        self.opened_s, self.checks = opened_s, checks
+        self.reads, self.is_closed = 0, False
 
-    def take_turn(self):
-        self.turns += 1
+    def read_received(self):
+        self.reads += 1
 
-    def leave(self):
-        self.has_left = True
+    def abort(self):
+        self.is_closed = True
 
 
 def test_between_two_rounds_of_the_loop_only_some_strangers_are_read():
     async def rounds():
-        strangers, waiting, read = Turns(lambda said: False), [_Connection() for _ in range(40)], []
+        strangers, waiting, read = ConnectionLimiter(lambda said: False), [_Connection() for _ in range(40)], []
         for one in waiting:
-            strangers.queue(one)
+            strangers.queue_read(one)
         while sum(read) < len(waiting):
-            before = sum(one.turns for one in waiting)
+            before = sum(one.reads for one in waiting)
             await asyncio.sleep(0)
-            read.append(sum(one.turns for one in waiting) - before)
-        assert [one.turns for one in waiting] == [1] * 40
+            read.append(sum(one.reads for one in waiting) - before)
+        assert [one.reads for one in waiting] == [1] * 40
         return read
 
     assert max(run_coroutine(rounds())) <= 8
 
 
-def test_those_that_are_new_stay_and_the_oldest_of_the_others_leave():
-    old = [_Connection(opened_s=n, looks=9) for n in range(100)]
+def test_new_connections_stay_and_the_oldest_of_the_others_are_closed():
+    old = [_Connection(opened_s=n, checks=9) for n in range(100)]
     new = [_Connection(opened_s=100 + n) for n in range(20)]
-    Turns(lambda said: False)._make_room([*new, *old])
-    assert [one.has_left for one in old] == [True] * (120 - PLACES[Right.NONE]) + [False] * 44
-    assert not any(one.has_left for one in new)
+    ConnectionLimiter(lambda said: False).close_surplus([*new, *old])
+    assert [one.is_closed for one in old] == [True] * (120 - MAX_OPEN[Right.NONE]) + [False] * 44
+    assert not any(one.is_closed for one in new)
 
 
-def test_too_many_new_ones_make_room():
-    new = [_Connection(opened_s=n) for n in range(MOST_NEW + 5)]
-    Turns(lambda said: False)._make_room(new)
-    assert [one.has_left for one in new] == [True] * 5 + [False] * MOST_NEW
+def test_too_many_new_connections_are_closed():
+    new = [_Connection(opened_s=n) for n in range(MAX_NEW + 5)]
+    ConnectionLimiter(lambda said: False).close_surplus(new)
+    assert [one.is_closed for one in new] == [True] * 5 + [False] * MAX_NEW
