@@ -181,7 +181,12 @@ class TextStream(BoardStream):
         text = line.decode("ascii", "replace").strip()
         if text == "A":
             return self._finish_frame()
-        if self._rows is not None and _is_row(text):
+        if self._rows is None:
+            return None
+        # Whether the line was meant as a row of counts, valid or not, rather than a log.
+        fields = text.rstrip(",").split(",")
+        count_fields = sum(field.strip().lstrip("-").isdigit() for field in fields)
+        if len(fields) > 2 and count_fields > len(fields) / 2:
             row = self._row(text)
             if row is None or len(self._rows) == self._pairs:
                 self._spoil_frame()
@@ -214,12 +219,6 @@ class TextStream(BoardStream):
     def _spoil_frame(self) -> None:
         self._spoil()
         self._rows = None
-
-
-def _is_row(text: str) -> bool:
-    """Whether a line was meant as a row of counts, valid or not, rather than a log."""
-    fields = text.rstrip(",").split(",")
-    return len(fields) > 2 and sum(field.strip().lstrip("-").isdigit() for field in fields) > len(fields) / 2
 
 
 def stream_order(pairs: int, order: str, first: int) -> NDArray[np.int64]:

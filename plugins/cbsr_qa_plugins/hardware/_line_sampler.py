@@ -250,14 +250,15 @@ class LineSampler:
         now_s = self._clock.now()
         *lines, self._partial = (self._partial + data).split(b"\n")
         with self._keeping:
-            read = [sample for line in lines if (sample := self._parse_line(line)) is not None]
-            for number, (device_s, value) in enumerate(read):
-                waited = len(read) - 1 - number
-                time_s = (
-                    self._device.on_station(device_s, now_s)
-                    if device_s is not None
-                    else self._estimate_arrival(now_s - waited * self._period_s, now_s)
-                )
+            samples = [sample for line in lines if (sample := self._parse_line(line)) is not None]
+            for number, (device_s, value) in enumerate(samples):
+                time_s: float | None
+                if device_s is not None:
+                    time_s = self._device.on_station(device_s, now_s)
+                else:  # lines read together came a period apart, and after those before
+                    later_samples = len(samples) - 1 - number
+                    earliest_s = max(self._log.last_s, self._began_s) + 1e-6
+                    time_s = min(max(now_s - later_samples * self._period_s, earliest_s), max(now_s, earliest_s))
                 if time_s is None:
                     self.skipped += 1
                     continue
@@ -281,11 +282,6 @@ class LineSampler:
         if self._timed:
             return int(match[1]) / 1e3, float(match[2])
         return None, float(match[1])
-
-    def _estimate_arrival(self, about_s: float, now_s: float) -> float:
-        """Return a time for a line without one: lines read together came a period apart, and after those before."""
-        last_s = max(self._log.last_s, self._began_s)
-        return min(max(about_s, last_s + 1e-6), max(now_s, last_s + 1e-6))
 
     def _silent_s(self) -> float:
         return 1.0 + _SILENT_PERIODS * self._period_s

@@ -146,7 +146,10 @@ class MarlinLink:
             except InstrumentError as error:
                 if not error.retryable:
                     raise
-                self._resynchronise()
+                # What comes from here on belongs to what is sent from here on.
+                if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKENS)):
+                    self.silent = True
+                    raise self._link.error("it does not answer any more", remedy=_CHECK) from error
                 continue
             self.silent = False
             if wanted in (None, number + 1):  # the latter: it was done before, and its answer was lost
@@ -202,12 +205,6 @@ class MarlinLink:
         for line in lines:
             self._notice(line.strip())
         return bool(lines)
-
-    def _resynchronise(self) -> None:
-        """After an answer that did not come: what comes from here on belongs to what is sent from here on."""
-        if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKENS)):
-            self.silent = True
-            raise self._link.error("it does not answer any more", remedy=_CHECK)
 
 
 #: A busy printer says so every two seconds, the first time two seconds after the command came; half a second more is

@@ -198,8 +198,11 @@ class ScannedFrames(DriverBase):
             if columns.get(frozenset(pair)) == measure:
                 before_s = self._clock.now()
                 turned = -1.0 if pattern.measure[measure] != pair else 1.0
-                ohm[drive] = self._ohm(meter.measure(), turned)
+                reading = meter.measure()
                 reading_s += self._clock.now() - before_s
+                ohm[drive] = np.inf
+                if not reading.compliance and reading.current_A != 0:
+                    ohm[drive] = self._sign * turned * reading.volts / reading.current_A
             multiplexer.step()
         meter.off()
         self._check_round()
@@ -208,11 +211,6 @@ class ScannedFrames(DriverBase):
         each_s = reading_s / taken if taken else meter.reading_period_s
         self._period_s = stepping_s + each_s * len(multiplexer.order())
         return ohm
-
-    def _ohm(self, reading: MeterReading, turned: float) -> float:
-        if reading.compliance or reading.current_A == 0:
-            return np.inf
-        return self._sign * turned * reading.volts / reading.current_A
 
     def _check_contacts(self, ohm: Array) -> None:
         measured = ohm[~np.isnan(ohm)]

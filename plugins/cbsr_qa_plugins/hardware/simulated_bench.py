@@ -148,7 +148,9 @@ class SimulatedBench(HeadDriver):
         """Step down at a place until the contact force; returns the depth from the hover height [mm]."""
         self.move_to(x_mm, y_mm)
         self._begin_act()
-        return self._head.find_surface(self._mean_force_N)
+        return self._head.find_surface(
+            lambda window_s: float(self.samples_since(self._clock.now() - window_s).values.mean())
+        )
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
         self._check_place(x_mm, y_mm)
@@ -168,9 +170,6 @@ class SimulatedBench(HeadDriver):
     def _begin_act(self) -> None:
         self._check_open()
         self._head.count_from(self._addresses.begin_act())
-
-    def _mean_force_N(self, window_s: float) -> float:
-        return float(self.samples_since(self._clock.now() - window_s).values.mean())
 
     def _check_open(self) -> None:
         if not self._open:

@@ -60,18 +60,14 @@ def _latest(serial: str) -> Path:
     """The newest calibration file of a sensor: runs are named by when they began."""
     folder = calibrations_folder()
     files = sorted(file for file in folder.glob("*.h5") if file.name.rpartition("-")[0].startswith(f"{serial}-"))
-    exact = [file for file in files if _serial(file) == serial]
+    # Named <serial>-<run>.h5; a run is a UUID of 36 characters.
+    exact = [file for file in files if file.stem[:-37] == serial]
     if not exact:
         raise ConfigError(
             f"there is no calibration of sensor {serial} in {folder}",
             remedy="calibrate it first, or name a file: calibration-check = { calibration = … }",
         )
     return exact[-1]
-
-
-def _serial(file: Path) -> str:
-    """Serial in the name of a calibration file, ``<serial>-<run>.h5``; a run is a UUID of 36 characters."""
-    return file.stem[:-37]
 
 
 def _measurements(verified: Verification, how: str) -> tuple[Measurement, ...]:

@@ -190,17 +190,15 @@ class ZeroReturn:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Put the rests of the commonest length together."""
         try:
-            loads, rest_s = select_equal_holds(data_sheet_loads(run), _rest_s)
+            loads, rest_s = select_equal_holds(
+                data_sheet_loads(run), lambda load: load.record.rest_end_s - load.record.unloaded_s
+            )
             estimate = zero_return(loads, frames=run.settings.steady_frames)
         except NumericsError as error:
             return (refuse_measurement("zero_return", "%", error),)
         presses = format_count(len(loads), "press", "presses")
         how = f"last frames of {rest_s:g} s of rest over the last ones of the hold; {presses}"
         return (percent("zero_return", estimate, how),)
-
-
-def _rest_s(load: LoadObservation) -> float:
-    return load.record.rest_end_s - load.record.unloaded_s
 
 
 #: Qualifier of the figure that creep is in.

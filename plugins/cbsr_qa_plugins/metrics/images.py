@@ -8,7 +8,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.run.sizes import SizeResponse, size_response_of
+from cbsr_qa.analysis.run.sizes import size_response_of
 from cbsr_qa.eit.imaging.multi_load import two_touch_resolution
 from cbsr_qa.eit.imaging.registration import Registration, register
 from cbsr_qa.eit.imaging.shape import GreitFigures, greit_figures
@@ -201,17 +201,13 @@ class SizeResponseMetric:
             return (Measurement("size_response", None, "1", how=error.reason),)
         measured = []
         for size in sizes:
-            how = _how_size_response(size, run)
+            how = "not detected: targets leave no region"
+            if size.slope is not None:
+                flat = "flat: targets of every size leave nearly the same region; " if size.flat else ""
+                how = f"{flat}mask {100 * run.main_mask:g} %, linearised model without noise"
             measured.append(Measurement("size_response", size.slope, "1", qualifier=size.place, how=how))
             for diameter, area in zip(size.diameters_mm, size.areas_mm2, strict=True):
                 qualifier = Dimensions(size.place, target_mm=diameter).text
                 why = "" if area is not None else "not detected: the target leaves no region"
                 measured.append(Measurement("region_area", area, "mm²", qualifier=qualifier, how=why))
         return tuple(measured)
-
-
-def _how_size_response(size: SizeResponse, run: RunObservation) -> str:
-    if size.slope is None:
-        return "not detected: targets leave no region"
-    flat = "flat: targets of every size leave nearly the same region; " if size.flat else ""
-    return f"{flat}mask {100 * run.main_mask:g} %, linearised model without noise"

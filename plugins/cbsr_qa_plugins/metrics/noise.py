@@ -30,7 +30,10 @@ class NoiseFigure:
         if not scatter.any():
             return (_refuse_noise_figure("the unloaded frames do not differ: there is no noise to propagate"),)
         signals, phase, source = _signals(run)
-        gains = np.array([_gain(run, signal) for signal in signals])
+        gains = np.empty(len(signals))
+        for number, signal in enumerate(signals):
+            # mean|y| over mean|A x|, with the signal y, its image x and the elements' areas A.
+            gains[number] = np.abs(signal).mean() / np.abs(_weigh_by_area(run, signal[None])).mean()
         # Mean square of each noise frame, of its readings and of its area-weighted image.
         readings, images = (scatter**2).mean(axis=1), (_weigh_by_area(run, scatter) ** 2).mean(axis=1)
         figures = gains * np.sqrt(images.mean() / readings.mean())
@@ -93,11 +96,6 @@ def _weigh_by_area(run: RunObservation, readings: Array) -> Array:
     """Images times the area of their elements, (k, elements)."""
     images: Array = run.reconstruction.images(readings) * run.reconstruction.problem.mesh.areas_mm2
     return images
-
-
-def _gain(run: RunObservation, signal: Array) -> float:
-    """mean|y| over mean|A x|."""
-    return float(np.abs(signal).mean() / np.abs(_weigh_by_area(run, signal[None])).mean())
 
 
 class ImageNoise:

@@ -13,7 +13,6 @@ from cbsr_qa.plugin import (
     Dimensions,
     LoadObservation,
     Measurement,
-    RelaxationFit,
     RelaxationObservation,
     RunObservation,
 )
@@ -108,7 +107,10 @@ def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Meas
         loaded_change=_hold_end_change(traced),
         start_s=earliest_s,
     )
-    how = f"{_describe_fit(common.fit)}; {common.traces} traces fitted together"
+    pairs = zip(common.fit.time_constants_s, common.fit.time_constant_stderr_s, strict=True)
+    constants = " and ".join(f"{with_uncertainty(tau_s, error_s)} s" for tau_s, error_s in pairs)
+    how = f"{common.fit.status}, {constants}" if constants else common.fit.why
+    how += f"; {common.traces} traces fitted together"
     how += f"; {settling.why}" if settling.why and settling.why != common.fit.why else ""
     name, bound = "common_settling_time", _choose_bound(settling.censored)
     return Measurement(name, settling.value_s, "s", stderr_s, qualifier=qualifier, how=how, bound=bound)
@@ -121,12 +123,6 @@ def _hold_end_change(members: list[_Member]) -> float | None:
     held = [load.relaxation(released.signal, loading=True) for load, released in members]
     ends = [pressed.trace.end_level for pressed in held if pressed is not None and len(pressed.trace.values)]
     return sum(ends) / len(ends) if ends else 0.0
-
-
-def _describe_fit(fit: RelaxationFit) -> str:
-    pairs = zip(fit.time_constants_s, fit.time_constant_stderr_s, strict=True)
-    constants = " and ".join(f"{with_uncertainty(tau, stderr)} s" for tau, stderr in pairs)
-    return f"{fit.status}, {constants}" if constants else fit.why
 
 
 def _choose_bound(late: bool) -> Bound:

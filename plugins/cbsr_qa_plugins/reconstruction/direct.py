@@ -95,10 +95,11 @@ class TruncatedSvd(WithOptions):
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
         if bound is not None:
+            weighted = "" if variance is None else ", weighted by their noise"
             how += (
-                f"; {int(value)} components there, chosen again on {_readings(problem)}: the most within noise figure"
+                f"; {int(value)} components there, chosen again on the {len(problem.reference)} readings in"
+                f" use{weighted}: the most within noise figure {bound:.2f} are {kept}, with {figure:.2f}"
             )
-            how += f" {bound:.2f} are {kept}, with {figure:.2f}"
         choice = ParameterChoice(float(kept), how, figure, "components kept", curve, regularisation.decided_by)
         return LinearReconstruction(_NAME_TRUNCATED_SVD, problem, matrix, choice)
 
@@ -115,11 +116,6 @@ def _noise_figure_bound(
     if criterion is Criterion.NOISE_FIGURE:
         return regularisation.noise_figure
     return None if problem.sample is not None else curve.noise_figure_at(value)
-
-
-def _readings(problem: ImagingProblem) -> str:
-    weighted = "" if problem.noise_variance is None else ", weighted by their noise"
-    return f"the {len(problem.reference)} readings in use{weighted}"
 
 
 _NAME_GREIT = "greit"

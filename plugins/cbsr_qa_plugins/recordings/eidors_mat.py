@@ -261,7 +261,8 @@ def _refuse_unfit(path: Path, names: list[str], alternating: tuple[str, ...]) ->
 def _choose_dataset(path: Path, matrices: dict[str, Matrix], asked: str | None) -> str:
     if asked is None and len(matrices) == 1:
         return next(iter(matrices))
-    listed = ", ".join(f"{name} ({_frames_said(matrix)})" for name, matrix in matrices.items())
+    counts = {name: matrix.shape[1] for name, matrix in matrices.items()}
+    listed = ", ".join(f"{name} ({count} frame{'' if count == 1 else 's'})" for name, count in counts.items())
     if asked is None:
         raise RecordingError(
             f"{path.name} holds {len(matrices)} data sets and none was chosen: {listed}",
@@ -270,10 +271,6 @@ def _choose_dataset(path: Path, matrices: dict[str, Matrix], asked: str | None) 
     if asked not in matrices:
         raise RecordingError(f"{path.name} has no data set {asked!r}; it has {listed}", remedy="choose one of these")
     return asked
-
-
-def _frames_said(matrix: Matrix) -> str:
-    return "1 frame" if matrix.shape[1] == 1 else f"{matrix.shape[1]} frames"
 
 
 def _reference(matrices: dict[str, Matrix], name: str) -> tuple[FrameBlock | None, str]:

@@ -50,12 +50,14 @@ def board_clock(lines: list[BoardLine], form: RowForm) -> RowClock:
     offsets = _session_offsets(lines)
     timed = [(line.number, line.computer_s) for line in lines if line.computer_s is not None]
     computer = {number: time_s + offsets[number] for number, time_s in timed}
-    stands = form.has_clock and _stands_still(rows, form.pairs)
-    if not form.has_clock or stands:
+    # With less than one step per frame, the board's clock cannot separate frames.
+    needed_times = max(2.0, len(rows) / form.pairs)
+    stands_still = form.has_clock and len(rows) > 1 and len({row.numbers[0] for row in rows}) < needed_times
+    if not form.has_clock or stands_still:
         times = np.maximum.accumulate([computer[row.number] for row in rows])
         rising = {row.number: float(time) for row, time in zip(rows, times, strict=True)}
         clock = RowClock("computer", rising, sessions=offsets)
-        if stands:
+        if stands_still:
             what = f"the board's clock stands still (at {rows[0].numbers[0]} ms here): the computer's clock is used"
             clock.problems.append(RowProblem(rows[0].number, what, False))
             clock.notes.append("the board's clock stands still: times are from the computer's clock")
@@ -136,11 +138,6 @@ def _follow_board(clock: RowClock, rows: list[BoardLine], computer: dict[int, fl
         clock.row_s[row.number] = now_s
 
 
-def _stands_still(rows: list[BoardLine], pairs: int) -> bool:
-    """Whether the board's clock cannot separate frames: less than one step per frame."""
-    return len(rows) > 1 and len({row.numbers[0] for row in rows}) < max(2.0, len(rows) / pairs)
-
-
 def _spread_repeated(clock: RowClock, rows: list[BoardLine]) -> None:
     """A spreadsheet rounds Unix time to whole seconds: rows are spread evenly from the first second to the last.
 
@@ -161,7 +158,10 @@ def _session_offsets(lines: list[BoardLine]) -> dict[int, float]:
     offset, last_s, first_utc, pending = 0.0, 0.0, None, False
     for line in lines:
         if line.kind is LineKind.HEADER and line.said.startswith("UTC"):
-            utc = _utc(line.said)
+            try:
+                utc = datetime.fromisoformat(line.said.split(",")[1].strip())
+            except (IndexError, ValueError):
+                utc = None
             pending = bool(offsets) and last_s > 0
             if pending and utc is not None and first_utc is not None:
                 offset = max((utc - first_utc).total_seconds(), 0.0)
@@ -173,10 +173,3 @@ def _session_offsets(lines: list[BoardLine]) -> dict[int, float]:
             last_s = line.computer_s + offset
         offsets[line.number] = offset
     return offsets
-
-
-def _utc(said: str) -> datetime | None:
-    try:
-        return datetime.fromisoformat(said.split(",")[1].strip())
-    except (IndexError, ValueError):
-        return None

@@ -69,8 +69,15 @@ class ErtBoardCsv(OneDataSet):
         scan = _scan_kind(lines)
         assembly = assemble(lines, scan, form.pairs)
         if not assembly.frames:
+            kinds = Counter(line.kind for line in lines)
+            inventory = (
+                f"{kinds[LineKind.ROW]} good rows, {len(problems)} rejected, {kinds[LineKind.MARK]} frame marks"
+            )
+            if problems:
+                inventory += f" ({'; '.join(f'line {problem.line}: {problem.what}' for problem in problems[:3])})"
+            frame = f"a mark and {form.pairs} rows" if scan is ScanKind.FULL else "one row"
             raise RecordingError(
-                f"{path.name} holds no complete frame: {_inventory(lines, problems)}; {_describe_frame(scan, form)}",
+                f"{path.name} holds no complete frame: {inventory}; a frame is {frame}",
                 remedy="record for longer, or analyse another file",
                 problems=sorted(_with_frames(problems, assembly), key=lambda p: p.line),
             )
@@ -189,28 +196,21 @@ def _scan_kind(lines: list[BoardLine]) -> ScanKind:
     return ScanKind.DRIVEN_PAIRS if len(counts) > 1 and 2 * ones > len(whole) else ScanKind.FULL
 
 
-def _inventory(lines: list[BoardLine], problems: list[RowProblem]) -> str:
-    kinds = Counter(line.kind for line in lines)
-    said = f"{kinds[LineKind.ROW]} good rows, {len(problems)} rejected, {kinds[LineKind.MARK]} frame marks"
-    worst = "; ".join(f"line {problem.line}: {problem.what}" for problem in problems[:3])
-    return f"{said} ({worst})" if worst else said
-
-
-def _describe_frame(scan: ScanKind, form: RowForm) -> str:
-    return f"a frame is a mark and {form.pairs} rows" if scan is ScanKind.FULL else "a frame is one row"
-
-
 def _recording(
     path: Path, lines: list[BoardLine], form: RowForm, scan: ScanKind, assembly: Assembly, problems: list[RowProblem]
 ) -> Recording:
     clock = board_clock(lines, form)
-    counts, unwrapped = _unwrap_counts(assembly.counts(), scan)
+    counts = assembly.counts()
+    # A driven pair's own voltage cannot be negative: a one-row scan of negative counts is wrapped at 2¹⁵.
+    is_wrapped = scan is ScanKind.DRIVEN_PAIRS and np.mean(counts < 0) > 0.5
+    if is_wrapped:
+        counts = np.where(counts < 0, counts + 2**16, counts)
     current_A, current_note = _current(lines)
     flags = np.zeros(counts.shape, dtype=np.uint8)
     block = FrameBlock(frame_times(assembly, clock), counts, flags, VoltageUnit.COUNT, current_A)
     samples, force_notes = force_samples(lines, clock, clock.frame_middle_s(assembly.frames[0]))
     notes = [*clock.notes, *force_notes, *current_note]
-    if unwrapped:
+    if is_wrapped:
         notes.append("counts are unsigned but were printed as signed 16-bit numbers; they are read as unsigned")
     return Recording(
         path=path,
@@ -235,13 +235,6 @@ def _with_frames(problems: list[RowProblem], assembly: Assembly) -> list[RowProb
         if not dropped.rejected_lines:
             said.append(RowProblem(dropped.first_line, f"{dropped.span} dropped: {dropped.why}", False))
     return said + list(assembly.dumps)
-
-
-def _unwrap_counts(counts: np.ndarray, scan: ScanKind) -> tuple[np.ndarray, bool]:
-    """A driven pair's own voltage cannot be negative: a one-row scan of negative counts is wrapped at 2¹⁵."""
-    if scan is ScanKind.DRIVEN_PAIRS and np.mean(counts < 0) > 0.5:
-        return np.where(counts < 0, counts + 2**16, counts), True
-    return counts, False
 
 
 def _current(lines: list[BoardLine]) -> tuple[float | None, list[str]]:

@@ -302,42 +302,31 @@ def assemble(lines: list[BoardLine], scan: ScanKind, pairs: int) -> Assembly:
     if scan is ScanKind.DRIVEN_PAIRS:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
-    sessions = _sessions(lines)
+    # Split at repeated headers: a file opened in append mode holds several recordings behind each other.
+    parts = groupby(lines, key=lambda line: line.kind is LineKind.HEADER)
+    sessions = [list(session) for is_header, session in parts if not is_header]
     for session, following in zip_longest(sessions, sessions[1:], fillvalue=list[BoardLine]()):
         _assemble_session(session, following, assembly)
     return assembly
 
 
-def _sessions(lines: list[BoardLine]) -> list[list[BoardLine]]:
-    """Split at repeated headers: a file opened in append mode holds several recordings behind each other."""
-    parts = groupby(lines, key=lambda line: line.kind is LineKind.HEADER)
-    return [list(session) for header, session in parts if not header]
-
-
 def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assembly: Assembly) -> None:
     """Put the frames of a session together; headers and then ``following`` may stand behind it."""
     marks = [k for k, line in enumerate(lines) if line.kind is LineKind.MARK]
+    # Where a whole frame's rows stand before the first mark that follows, headers were put between it and its mark.
+    before_mark = list(takewhile(lambda line: line.kind is not LineKind.MARK, following))
+    frame_follows = sum(line.kind is LineKind.ROW for line in before_mark) == assembly.pairs
     for begin, end in zip_longest(marks, marks[1:]):
         inside = lines[begin + 1 : end]
         rows = tuple(line for line in inside if line.kind is LineKind.ROW)
         bad = tuple(line.number for line in inside if line.kind in (LineKind.GARBLED, LineKind.TORN))
         if len(rows) == assembly.pairs and not bad:
             assembly.frames.append(rows)
-        elif (
-            bad
-            or (inside and (end is not None or following))
-            or (end is None and _begins_with_a_frame(following, assembly.pairs))
-        ):
+        elif bad or (inside and (end is not None or following)) or (end is None and frame_follows):
             why = f"{len(rows)} whole rows where a frame has {assembly.pairs}"
             if end is None and following:
                 why += f", then headers, and the recording continues in line {following[0].number}"
             assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad, why))
-
-
-def _begins_with_a_frame(lines: list[BoardLine], pairs: int) -> bool:
-    """Whether a whole frame's rows stand before the first mark: then headers were put between it and its mark."""
-    before = list(takewhile(lambda line: line.kind is not LineKind.MARK, lines))
-    return sum(line.kind is LineKind.ROW for line in before) == pairs
 
 
 def _dumps(lines: list[BoardLine]) -> list[RowProblem]:

@@ -66,13 +66,15 @@ def write_ert_board(path: Path, recording: Recording, transcript: Transcript) ->
     row_s: Array = lab_files.reading_times(NAME, recording, transcript, "measure").mean(axis=2)
     _refuse_too_long(float(row_s[-1, -1] - row_s[0, 0]))
     gain = scale_of(recording.frames.voltages)
+    dumps_by_frame: dict[int, Dumps] = defaultdict(dict)
+    for dump in transcript.dumps:
+        dumps_by_frame[dump.frame].setdefault(dump.row, []).append(dump)
     with lab_files.new_text_file(path) as file:
         file.write(lab_files.utc_line(recording) + TITLES + "\n")
         port = _Port(file, lab_files.channel(recording, "force", "N"), float(row_s[0, 0]))
-        dumps = _group_dumps(transcript.dumps)
         for frame, volts in enumerate(recording.frames.voltages):
             counts = np.rint(np.clip(volts * gain, -END_COUNTS, END_COUNTS)).astype(np.int64).tolist()
-            _write_frame(port, row_s[frame].tolist(), counts, transcript.lost[frame], dumps[frame])
+            _write_frame(port, row_s[frame].tolist(), counts, transcript.lost[frame], dumps_by_frame[frame])
     return (
         *_describe_conversion(recording, gain),
         *lab_files.list_omissions(recording, transcript, ("force",), ~ReadingFlag.NONE),
@@ -141,13 +143,6 @@ def _write_dump(port: _Port, start_s: float, end_s: float) -> float:
     for k, text in enumerate(_DUMP):
         port.line(start_s + k / len(_DUMP) * (end_s - start_s), text.format(ms=said_ms))
     return end_s
-
-
-def _group_dumps(dumps: Sequence[Dump]) -> dict[int, Dumps]:
-    found: dict[int, Dumps] = defaultdict(dict)
-    for dump in dumps:
-        found[dump.frame].setdefault(dump.row, []).append(dump)
-    return found
 
 
 def _describe_conversion(recording: Recording, gain: float) -> list[str]:

@@ -220,17 +220,13 @@ def reading_times(name: str, recording: Recording, transcript: Transcript, order
     step_s = np.diff(scan.reshape(-1))
     if not np.isfinite(times_s).all() or (step_s < 0).any():
         frame = int(np.argmax(~(step_s >= 0))) // times_s[0].size
+        # Dumps are those of a board that reads row by row.
+        without_dumps = " and take watchdog-dump out" if order == "drive" and transcript.dumps else ""
         raise RefusedError(
             f"{name} is of a rig whose {order} pair steps faster; the times of frame {frame} fall in that order",
-            remedy=f"{_order_remedy(transcript, order)}, or {_OWN_FORMAT}",
+            remedy=f'give time-skew inner = "{order}"{without_dumps}, or {_OWN_FORMAT}',
         )
     return times_s
-
-
-def _order_remedy(transcript: Transcript, order: str) -> str:
-    """Say what makes readings come in an order; dumps are those of a board that reads row by row."""
-    skew = f'give time-skew inner = "{order}"'
-    return f"{skew} and take watchdog-dump out" if order == "drive" and transcript.dumps else skew
 
 
 def channel(recording: Recording, name: str, unit: str) -> SampleBlock | None:

@@ -1,6 +1,5 @@
 """Per-reading CSV of the rig behind the paper: SMU, command multiplexer, applicator (format ``smu-rig-csv``)."""
 
-from collections.abc import Iterator
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -76,14 +75,11 @@ def frames_of(stretches: list[Stretch]) -> Scans:
         inside = number and 0 < at + len(head) < FRAME and len(head) == len(stretch.readings)
         reached = at + len(head) if inside else FRAME
         left = _cut(stretch.readings[len(head) :], scans)
-    scans.moved += _steps_back(scans.frames)
-    return scans
-
-
-def _steps_back(frames: list[list[Reading]]) -> Iterator[RowProblem]:
-    for before, after in pairwise(frames):
+    for before, after in pairwise(scans.frames):
         if (back_s := before[-1].time_s - after[0].time_s) > 0:
-            yield RowProblem(after[0].line, f"time steps back by {back_s:.6g} s from the frame before", False)
+            what = f"time steps back by {back_s:.6g} s from the frame before"
+            scans.moved.append(RowProblem(after[0].line, what, False))
+    return scans
 
 
 def _cut(readings: list[Reading], scans: Scans) -> list[Reading]:

@@ -2,7 +2,6 @@
 
 import math
 import re
-from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import pairwise
 from pathlib import Path
@@ -210,27 +209,24 @@ def _frame_lines(
 ) -> list[str]:
     """Lines of one frame, without those of lost rows."""
     scan_s = times_s.T.ravel()
-    columns = zip(*[_column(recording, *named, scan_s) for named in CHANNELS], strict=True)
+    columns: list[list[str]] = []
+    for channel, unit in CHANNELS:
+        block = lab_files.channel(recording, channel, unit)
+        values = np.full(len(scan_s), np.nan) if block is None else np.interp(scan_s, block.time_s, block.values)
+        columns.append([f"{value:.6g}" for value in values.tolist()])
     volts = recording.frames.voltages[frame].T.ravel().tolist()
     at_limit = (recording.frames.flags[frame].T.ravel() & ReadingFlag.COMPLIANCE.value) > 0
     gone = lost.tolist() * lab_files.ELECTRODES
     read_at = gone.index(False)  # place of the line with the current within each 16
     out = []
     for k, (time_s, volt, limit, others) in enumerate(
-        zip((scan_s - zero_s).tolist(), volts, at_limit.tolist(), columns, strict=True)
+        zip((scan_s - zero_s).tolist(), volts, at_limit.tolist(), zip(*columns, strict=True), strict=True)
     ):
         if not gone[k]:
             said = f"{volt!r} MAX VOLTAGE ERROR" if limit else repr(volt)
             source = current if k % CURRENT_EVERY == read_at else "nan"
             out.append(f"{time_s:.6f},{said},{source},{','.join(others)}\n")
     return out
-
-
-def _column(recording: Recording, name: str, unit: str, at_s: Array) -> Sequence[str]:
-    block = lab_files.channel(recording, name, unit)
-    if block is None:
-        return ["nan"] * len(at_s)
-    return [f"{value:.6g}" for value in np.interp(at_s, block.time_s, block.values).tolist()]
 
 
 def _refuse_numbers(recording: Recording, transcript: Transcript) -> None:

@@ -13,7 +13,6 @@ from cbsr_qa.plugin import (
     FrameBlock,
     Paragraph,
     PhaseRecord,
-    Relaxation,
     Role,
     RunRecord,
     RunResult,
@@ -195,16 +194,15 @@ def _kernels(material: Characterisation) -> Table:
         ("conductance after a release", material.unloading),
         ("stress", material.stress),
     )
-    rows = [[name, *_kernel(kernel)] for name, kernel in kernels]
+    rows = []
+    for name, kernel in kernels:
+        cells = ["–"] * 4
+        if kernel is not None:
+            pairs = zip(kernel.weights, kernel.time_constants_s, strict=True)
+            cells = [text for weight, tau_s in pairs for text in (number(weight), number(tau_s))]
+        rows.append([name, *cells])
     columns = ("Response to a unit step", "w₁", "τ₁ [s]", "w₂", "τ₂ [s]")
     return text_table("1 + w₁ exp(−t/τ₁) + w₂ exp(−t/τ₂), corrected for the ramps.", columns, rows, (1, 2, 3, 4))
-
-
-def _kernel(kernel: Relaxation | None) -> list[str]:
-    if kernel is None:
-        return ["–"] * 4
-    pairs = zip(kernel.weights, kernel.time_constants_s, strict=True)
-    return [text for weight, tau in pairs for text in (number(weight), number(tau))]
 
 
 def _describe_assumptions(material: Characterisation) -> str:

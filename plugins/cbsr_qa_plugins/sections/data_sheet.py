@@ -4,9 +4,8 @@ from collections.abc import Iterator, Sequence
 from typing import Final
 
 from cbsr_qa.calibration.fits.estimates import FEWEST_POINTS, best_straight_line
-from cbsr_qa.calibration.fits.hysteresis_fit import LoopCurve, loop_curve
+from cbsr_qa.calibration.fits.hysteresis_fit import loop_curve
 from cbsr_qa.calibration.sheet.characteristic import (
-    Characteristic,
     characteristics,
     data_sheet_loads,
     mean_characteristic,
@@ -164,7 +163,11 @@ def _strain_table(measurements: Sequence[Measurement]) -> list[Block]:
 def _characteristic(run: RunObservation) -> Iterator[Figure]:
     """Figure of change against stress; nothing with too few strains, or without force."""
     loads = data_sheet_loads(run)
-    curves = [c for c in characteristics(loads, run.main_mask) if _drawable(c)]
+    curves = [
+        curve
+        for curve in characteristics(loads, run.main_mask)
+        if len(curve.strain) >= FEWEST_POINTS and curve.stress_kPa is not None and curve.span > 0
+    ]
     try:
         mean = mean_characteristic(curves)
         assert mean.stress_kPa is not None
@@ -191,7 +194,14 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> It
     if hysteresis is None or hysteresis.value is None:
         return
     last_s = run.settings.steady_frames * run.frame_period_s
-    curves, read = (_curves(run, last_s, relaxed=way) for way in (True, False))
+    try:
+        curves = [loop_curve(loop, relaxed=True, last_s=last_s) for loop in run.loops]
+    except NumericsError:
+        return
+    try:
+        read = [loop_curve(loop, relaxed=False, last_s=last_s) for loop in run.loops]
+    except NumericsError:
+        read = []
     if curves:
         error = "" if hysteresis.uncertainty is None else f" ± {number(hysteresis.uncertainty, 2)}"
         yield Figure(
@@ -202,17 +212,6 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> It
             f" {number(hysteresis.value, 2)}{error} % of the span.",
             loop_figure(curves, read),
         )
-
-
-def _curves(run: RunObservation, last_s: float, *, relaxed: bool) -> list[LoopCurve]:
-    try:
-        return [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]
-    except NumericsError:
-        return []
-
-
-def _drawable(curve: Characteristic) -> bool:
-    return len(curve.strain) >= FEWEST_POINTS and curve.stress_kPa is not None and curve.span > 0
 
 
 def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Figure]:

@@ -93,13 +93,19 @@ class SizeResponses(ObservedSection):
             return
         words = describe_sizes(responses)
         yield Paragraph(words, "note" if any(response.flat for response in responses) else "plain")
-        seen = [_series(response) for response in responses if response.slope is not None]
-        if seen:
+        series: list[SizeSeries] = []
+        for response in responses:
+            if response.slope is not None:
+                sizes = zip(response.diameters_mm, response.areas_mm2, strict=True)
+                targets, areas = zip(*((size, area) for size, area in sizes if area is not None), strict=True)
+                diameters = tuple(float(2 * np.sqrt(area / np.pi)) for area in areas)
+                series.append(SizeSeries(response.place, targets, diameters))
+        if series:
             caption = (
                 f"Diameter of a circle with the region's area (mask {100 * run.main_mask:g} %) against the diameter"
                 " of the target, without noise. Dashed: regions as large as their targets."
             )
-            yield Figure(caption, words, size_figure(seen, run.record.indenter.diameter_mm))
+            yield Figure(caption, words, size_figure(series, run.record.indenter.diameter_mm))
         yield _table_size_response(responses)
 
 
@@ -152,12 +158,6 @@ def _collect_responses(measurements: Sequence[Measurement]) -> list[SizeResponse
         SizeResponse(place, tuple(diameter for diameter, _ in seen), tuple(area for _, area in seen))
         for place, seen in areas.items()
     ]
-
-
-def _series(response: SizeResponse) -> SizeSeries:
-    seen = [(d, a) for d, a in zip(response.diameters_mm, response.areas_mm2, strict=True) if a is not None]
-    targets, areas = zip(*seen, strict=True)
-    return SizeSeries(response.place, targets, tuple(float(2 * np.sqrt(area / np.pi)) for area in areas))
 
 
 _TITLES: Final = {

@@ -44,7 +44,11 @@ class Limits(RunSection):
             return
         judged = [m for m in result.measurements if m.limit is not None]
         others = [m for m in result.measurements if m.limit is None]
-        yield Paragraph(_describe_outcomes(judged))
+        outcomes = "The recipe sets no limit on anything that was measured."
+        if judged:
+            counts = outcome_counts([m.outcome for m in judged])
+            outcomes = f"{plural(len(judged), 'limit')} judged: {counts}. The closest to failing comes first."
+        yield Paragraph(outcomes)
         if result.limits_version is not None:
             yield Paragraph(_version_words(result.limits_version, judged))
         if judged:
@@ -56,13 +60,6 @@ class Limits(RunSection):
         refused = [m for m in others if m.value is None]
         if refused:
             yield _refusal_table(refused)
-
-
-def _describe_outcomes(judged: Sequence[Measurement]) -> str:
-    if not judged:
-        return "The recipe sets no limit on anything that was measured."
-    words = outcome_counts([m.outcome for m in judged])
-    return f"{plural(len(judged), 'limit')} judged: {words}. The closest to failing comes first."
 
 
 def _location_blocks(result: RunResult, judged: Sequence[Measurement]) -> list[Block]:

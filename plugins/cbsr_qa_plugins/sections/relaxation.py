@@ -36,7 +36,11 @@ class RelaxationFits(ObservedSection):
         if not loads:
             return
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
-        shown = _choose_load(loads, select_relaxed(loads_of(run, Role.RELAXATION)))
+        # Highlighted: the load held for this purpose, else the one with the best fits.
+        shown = max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
+        if held_for_this := select_relaxed(loads_of(run, Role.RELAXATION)):
+            place = (held_for_this[0].label, held_for_this[0].group)
+            shown = next((load for load in loads if (load.label, load.group) == place), shown)
         rows = [_fit_row(relaxation) for relaxation in shown.relaxations]
         columns = ("Signal", "After", "Form", "a₀", "τ₁ [s]", "τ₂ [s]", "R²", "Settled [s]")
         caption = f"Fits of {shown.label} ({shown.group}), G(t) = a₀ + a₁ exp(−t/τ₁) + a₂ exp(−t/τ₂)."
@@ -48,13 +52,6 @@ class RelaxationFits(ObservedSection):
         rejected = [r.fit for load in loads for r in load.relaxations if r.fit.status is FitStatus.REJECTED]
         if rejected:
             yield Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note")
-
-
-def _choose_load(loads: Sequence[SettledLoad], apart: Sequence[SettledLoad]) -> SettledLoad:
-    """Return the load to highlight: one held for this purpose, else the one with the best fits."""
-    wanted = apart[0] if apart else None
-    near = [load for load in loads if wanted and (load.label, load.group) == (wanted.label, wanted.group)]
-    return near[0] if near else max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
 
 
 def _traces(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Figure:
@@ -184,16 +181,13 @@ def _strain_row(signal: str, loading: bool, strain: str, relaxations: Sequence[R
     if not relaxations:
         return []
     timed = [(r.settling.value_s, r.settling.censored) for r in relaxations if r.settling.value_s is not None]
-    censored = sum(late for _, late in timed)
+    times_s, is_censored = [time_s for time_s, _ in timed], [is_late for _, is_late in timed]
     mean = "–"
     if timed and 2 * len(timed) >= len(relaxations):
-        mean = _mean_text([time for time, _ in timed], [late for _, late in timed])
+        mean = plain(times_s[0], "s")
+        if len(times_s) > 1:
+            mean = with_uncertainty(*estimate_restricted_mean(times_s, is_censored))
+        mean = f"≥ {mean}" if any(is_censored) else mean
+    censored = sum(is_censored)
     counts = (len(timed) - censored, censored, len(relaxations) - len(timed))
     return [signal, _motion_name(loading), strain, mean, *map(str, counts)]
-
-
-def _mean_text(times_s: list[float], censored: list[bool]) -> str:
-    if len(times_s) == 1:
-        return f"{'≥ ' if censored[0] else ''}{plain(times_s[0], 's')}"
-    mean_s, deviation_s = estimate_restricted_mean(times_s, censored)
-    return f"{'≥ ' if any(censored) else ''}{with_uncertainty(mean_s, deviation_s)}"

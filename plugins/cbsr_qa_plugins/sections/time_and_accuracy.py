@@ -19,10 +19,11 @@ class TimeAndAccuracy(RunSection):
 
     def blocks(self, result: RunResult) -> Iterator[Block]:
         """Return where the time went and, of an observed run, what each phase bought."""
-        spent = (("Station", result.record.spent), ("Computing", result.compute_s))
-        budgets = [
-            Budget(title, _name_parts(parts)) for title, parts in spent if sum(seconds for _, seconds in parts) > 0
-        ]
+        budgets: list[Budget] = []
+        for title, spent in (("Station", result.record.spent), ("Computing", result.compute_s)):
+            if sum(seconds for _, seconds in spent) > 0:
+                parts = tuple((name.replace("_", " "), seconds) for name, seconds in spent if seconds > 0)
+                budgets.append(Budget(title, parts))
         if not budgets:
             return
         words = (
@@ -35,10 +36,6 @@ class TimeAndAccuracy(RunSection):
         if result.observation is not None:
             run = result.observation
             yield from (_bought(result, run), *_map_bought(result, run), *_waiting(run))
-
-
-def _name_parts(parts: tuple[tuple[str, float], ...]) -> tuple[tuple[str, float], ...]:
-    return tuple((name.replace("_", " "), seconds) for name, seconds in parts if seconds > 0)
 
 
 def _bought(result: RunResult, run: RunObservation) -> Table:

@@ -1,7 +1,8 @@
-"""What the numbers can be traced to, and how the station stood when the run was made."""
+"""What the numbers can be traced to, and the state of the station when the run was made."""
 
 from collections.abc import Iterator
 from datetime import datetime
+from itertools import pairwise
 from typing import Final
 
 from cbsr_qa.plugin import (
@@ -18,7 +19,6 @@ from cbsr_qa.plugin import (
     RunSession,
     SensorType,
     Table,
-    VerdictOverride,
 )
 from cbsr_qa.report.gate import gate_blocks
 from cbsr_qa.report.section import RunSection
@@ -43,7 +43,12 @@ class Traceability(RunSection):
         if result.observation is not None:
             yield _analysis(result.observation)
         if result.overrides:
-            yield _overrides(result.overrides)
+            rows = [[_minute(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in result.overrides]
+            caption = (
+                "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue"
+                " calibrations."
+            )
+            yield text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
         yield from (_changes(result.history), _phases(record))
         if len(record.sessions) > 1:
             yield _sessions(record)
@@ -127,12 +132,6 @@ def _weighting(run: RunObservation) -> str:
     )
 
 
-def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
-    rows = [[_minute(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in overrides]
-    caption = "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue calibrations."
-    return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
-
-
 def _changes(history: ChangeHistory) -> Block:
     """List changes in the run's files since this sensor type last passed this recipe."""
     since = (
@@ -164,9 +163,11 @@ def _phases(record: RunRecord) -> Table:
 def _sessions(record: RunRecord) -> Table:
     """The run was interrupted: when, how, who went on, and what of it does not count."""
     first, *later = record.sessions
-    ends = [_describe_end(session, following) for session, following in zip(record.sessions, later, strict=False)]
     rows = [["begun", _format_start(first), duration(0.0), "", _versions(first)]]
-    for session, end in zip(later, ends, strict=True):
+    for before, session in pairwise(record.sessions):
+        end = f"was {before.end}: {before.detail}" if before.detail else f"was {before.end}"
+        if before.end is EndReason.RUNNING:
+            end = f"was cut off at {duration(session.started_s)}"
         by = f"resumed by {session.operator or 'somebody'}"
         rows.append([by, _format_start(session), duration(session.started_s), end, _versions(session)])
     aside = f"{record.set_aside} frames" if record.set_aside else "no frame"
@@ -193,12 +194,6 @@ def _attendance_lines(record: RunRecord) -> Iterator[str]:
     for prompt in record.prompts:
         answer = "no answer" if prompt.answered_s is None else f"{prompt.by} answered {prompt.answer!r}"
         yield f"Asked at {duration(prompt.shown_s)} of run time, {prompt.text!r}: {answer}."
-
-
-def _describe_end(session: RunSession, following: RunSession) -> str:
-    if session.end is EndReason.RUNNING:
-        return f"was cut off at {duration(following.started_s)}"
-    return f"was {session.end}: {session.detail}" if session.detail else f"was {session.end}"
 
 
 def _format_start(session: RunSession) -> str:

@@ -99,12 +99,9 @@ class RelaxationSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options, place_mm = self.options, (self.options.x_mm, self.options.y_mm)
         strain = options.strain_percent / 100
-        loads = [Load(_label(place_mm), *place_mm, strain, trial) for trial in range(options.trials)]
+        label = f"L{NINE_LOCATIONS_MM.index(place_mm)}" if place_mm in NINE_LOCATIONS_MM else "X0"
+        loads = [Load(label, *place_mm, strain, trial) for trial in range(options.trials)]
         yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
-
-
-def _label(place_mm: tuple[float, float]) -> str:
-    return f"L{NINE_LOCATIONS_MM.index(place_mm)}" if place_mm in NINE_LOCATIONS_MM else "X0"
 
 
 class PreconditioningSequence(WithOptions):

@@ -174,13 +174,11 @@ class RandomLoadsSequence(WithOptions):
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         """Yield the steps, the same ones each time for one seed."""
         options = self.options
-        yield from parts.presses(options, self._loads(context.seed), hold_s=options.hold_s, rest_s=options.rest_s)
-
-    def _loads(self, seed: int) -> tuple[Load, ...]:
-        digest = hashlib.sha256(f"{seed}/{self.options.stream}".encode()).digest()
+        digest = hashlib.sha256(f"{context.seed}/{options.stream}".encode()).digest()
         generator = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "big")))
-        draws = generator.random((self.options.count, 3))
-        return tuple(self._load(number, *map(float, draw)) for number, draw in enumerate(draws))
+        draws = generator.random((options.count, 3))
+        loads = tuple(self._load(number, *map(float, draw)) for number, draw in enumerate(draws))
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
     def _load(self, number: int, first: float, second: float, third: float) -> Load:
         radius_mm = _interpolate(self.options.radius_mm, first)
