@@ -4,7 +4,7 @@ import zlib
 
 import numpy as np
 import pytest
-from hypothesis import given, strategies as st
+from hypothesis import example, given, strategies as st
 from hypothesis.extra import numpy as hnp
 
 from cbsr_qa.domain.errors import StoreError
@@ -61,6 +61,7 @@ def test_any_changed_bit_is_found_or_changes_nothing_that_was_measured(block, da
 
 
 @given(st.binary(max_size=400), st.sampled_from([1, 8]), st.booleans())
+@example(bytes([1, 0, 0, 0, 0, 0]), 1, True)
 def test_any_bits_survive_being_compact(data, width, steps):
     data = data[: len(data) // width * width]
     stored = compact(data, width, steps=steps)
