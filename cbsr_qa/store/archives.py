@@ -216,17 +216,17 @@ def write_archive(file: Path, run: str, blocks: Iterable[tuple[int, int, Any]]) 
         _sync_folder(file.parent)
 
 
-def _write_group(group: h5py.Group, some: list[tuple[int, Any]]) -> None:
-    counts = [len(block) for _, block in some]
-    group.create_dataset("block", data=np.array([number for number, _ in some]))
+def _write_group(group: h5py.Group, numbered_blocks: list[tuple[int, Any]]) -> None:
+    counts = [len(block) for _, block in numbered_blocks]
+    group.create_dataset("block", data=np.array([number for number, _ in numbered_blocks]))
     group.create_dataset("frames", data=np.array(counts))
     for name in ARRAYS:
-        parts = [getattr(block, name) for _, block in some]
+        parts = [getattr(block, name) for _, block in numbered_blocks]
         if parts[0] is None:
             continue
         packing: dict[str, Any] = {"compression": "gzip", "shuffle": True, "fletcher32": True}
         dataset = group.create_dataset(name, data=np.concatenate(parts), **packing)
-        dataset.attrs["unit"] = _UNITS.get(name, str(some[0][1].unit))
+        dataset.attrs["unit"] = _UNITS.get(name, str(numbered_blocks[0][1].unit))
 
 
 def _sync_folder(folder: Path) -> None:

@@ -168,9 +168,9 @@ def _last_accepted(connection: Connection, identity: RunIdentity) -> str:
     return ""
 
 
-def _changes(connection: Connection, *wanted: ColumnElement[bool]) -> tuple[ConfigurationChange, ...]:
+def _changes(connection: Connection, *conditions: ColumnElement[bool]) -> tuple[ConfigurationChange, ...]:
     row = ConfigurationChangeRow
-    query = select(*row.__table__.columns).where(*wanted).order_by(row.run, row.kind)
+    query = select(*row.__table__.columns).where(*conditions).order_by(row.run, row.kind)
     return tuple(
         convert_row(
             ConfigurationChange,

@@ -51,9 +51,12 @@ class ChartReferences:
             conditions.append(ChartReferenceRow.reference <= until)
         with reading(self._engine) as connection:
             rows = read_rows_apart(connection, ChartReferenceRow, *conditions).rows
-        latest = {(one.recipe, one.golden, one.key, one.chart): one for one in map(_reference, rows)}
-        current = (one for one in latest.values() if not one.retired)
-        return tuple(sorted(current, key=lambda one: one.reference))
+        latest = {
+            (reference.recipe, reference.golden, reference.key, reference.chart): reference
+            for reference in map(_reference, rows)
+        }
+        current = (reference for reference in latest.values() if not reference.retired)
+        return tuple(sorted(current, key=lambda reference: reference.reference))
 
     def read_all(self, station: str = "") -> tuple[ChartReference, ...]:
         """Return all references of a station's charts (empty: of all stations), oldest first."""
@@ -62,12 +65,12 @@ class ChartReferences:
             return tuple(map(_reference, read_rows_apart(connection, ChartReferenceRow, *conditions).rows))
 
 
-def _values(one: ChartReference) -> dict[str, Any]:
-    settings = {name: getattr(one, name) for name in _SETTINGS} | {"rules": list(one.rules)}
+def _values(reference: ChartReference) -> dict[str, Any]:
+    settings = {name: getattr(reference, name) for name in _SETTINGS} | {"rules": list(reference.rules)}
     return {
-        **row_of(ChartReferenceRow, one, golden=one.golden or "", kind=str(one.chart)),
+        **row_of(ChartReferenceRow, reference, golden=reference.golden or "", kind=str(reference.chart)),
         # Only where set: most references are of charts in use.
-        "settings": settings | ({"retired": True} if one.retired else {}),
+        "settings": settings | ({"retired": True} if reference.retired else {}),
     }
 
 

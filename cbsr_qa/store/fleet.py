@@ -93,11 +93,11 @@ def _lines(connection: Connection, names: Sequence[str]) -> Iterator[tuple[RunLi
         yield _line(verdict, shared, of_check=verdict.run in of_checks), verdict
 
 
-def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
-    row = one.values
+def _line(verdict: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunLine:
+    row = verdict.values
     # The value of an altered run may be anything.
-    simulated = () if one.altered else tuple(map(str, row["simulated"]))
-    material_table = None if one.altered else row["setting"].get("material")
+    simulated = () if verdict.altered else tuple(map(str, row["simulated"]))
+    material_table = None if verdict.altered else row["setting"].get("material")
     material = str(material_table.get("name", "")) if isinstance(material_table, dict) else ""
     return RunLine(
         run=row["run"],
@@ -108,15 +108,15 @@ def _line(one: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> RunL
         recipe=shared.setdefault(row["recipe"], row["recipe"]),
         started_at=row["started_at"],
         made_at=time_of_id(row["run"]),
-        end=one.end,
-        outcome=one.outcome,
-        software=shared.setdefault(one.software, one.software),
+        end=verdict.end,
+        outcome=verdict.outcome,
+        software=shared.setdefault(verdict.software, verdict.software),
         simulated=shared.setdefault(simulated, simulated),
         of_check=of_check,
         operator=shared.setdefault(row["operator"], row["operator"]),
-        reason=one.reason,
-        overridden_to=None if one.decision is None else one.decision.outcome,
-        altered=one.altered,
+        reason=verdict.reason,
+        overridden_to=None if verdict.decision is None else verdict.decision.outcome,
+        altered=verdict.altered,
     )
 
 

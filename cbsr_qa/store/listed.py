@@ -185,9 +185,9 @@ def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun,
 
 
 def _run(
-    one: StoredVerdict, altered: str, failed: tuple[MetricKey, ...], earlier: int, *, of_check: bool
+    verdict: StoredVerdict, altered: str, failed: tuple[MetricKey, ...], earlier: int, *, of_check: bool
 ) -> ListedRun:
-    row = one.values
+    row = verdict.values
     return ListedRun(
         run=row["run"],
         serial=row["serial"],
@@ -197,17 +197,17 @@ def _run(
         recipe=row["recipe"],
         operator=row["operator"],
         started_at=row["started_at"],
-        end=one.end,
-        station_s=one.station_s,
-        outcome=None if altered else one.outcome,
-        reason=altered or one.reason,
-        decision=None if altered else one.decision,
+        end=verdict.end,
+        station_s=verdict.station_s,
+        outcome=None if altered else verdict.outcome,
+        reason=altered or verdict.reason,
+        decision=None if altered else verdict.decision,
         failed=failed,
         earlier=earlier,
         of_check=of_check,
         simulated=bool(row["simulated"]),
-        end_detail=one.end_detail,
-        chain=one.chain,
+        end_detail=verdict.end_detail,
+        chain=verdict.chain,
         altered=altered,
     )
 

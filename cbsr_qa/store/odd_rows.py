@@ -44,12 +44,12 @@ class RowsApart:
         return tuple(row.words for row in self.odd)
 
 
-def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnElement[bool]) -> RowsApart:
+def read_rows_apart(connection: Connection, model: type[Base], *conditions: ColumnElement[bool]) -> RowsApart:
     """Read rows of a table; those with an odd cell are set apart.
 
     Parameters
     ----------
-    wanted : conditions, compared with the cells as they are stored.
+    conditions : conditions, compared with the cells as they are stored.
     """
     table = Base.metadata.tables[model.__tablename__]
     readers = {column.name: cell_reader(connection, column) for column in table.columns}
@@ -57,7 +57,7 @@ def read_rows_apart(connection: Connection, model: type[Base], *wanted: ColumnEl
     rows: list[dict[str, Any]] = []
     odd_rows: list[OddRow] = []
     with keep_odd_text(connection):
-        raw_rows = connection.execute(raw_query.where(*wanted).order_by(*table.primary_key)).mappings().all()
+        raw_rows = connection.execute(raw_query.where(*conditions).order_by(*table.primary_key)).mappings().all()
     for row in raw_rows:
         values: dict[str, Any] = {}
         unread_columns: list[str] = []

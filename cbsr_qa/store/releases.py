@@ -48,7 +48,7 @@ class Releases:
         row = ReleaseRow
         with reading(self._engine) as connection:
             releases = _list_releases(read_rows_apart(connection, row, row.sha256 == sha256, row.kind == kind))
-        return max(releases, key=lambda one: one.release, default=None)
+        return max(releases, key=lambda release: release.release, default=None)
 
     def read_all(self) -> tuple[Release, ...]:
         """Return all releases and withdrawals in the order they were made in.
@@ -62,7 +62,7 @@ class Releases:
         """
         with reading(self._engine) as connection:
             releases = _list_releases(read_rows_apart(connection, ReleaseRow))
-        return tuple(sorted(releases, key=lambda one: one.release))
+        return tuple(sorted(releases, key=lambda release: release.release))
 
     def name_unread(self, kind: str = "", sha256: str = "") -> tuple[str, ...]:
         """Return in words the rows of releases that cannot be read: those of one content, or all."""

@@ -168,10 +168,17 @@ class Repository:
         )
         with reading(self._engine) as connection:
             highest_ids = connection.execute(
-                select(*(select(func.max(one)).scalar_subquery() for one in columns))
+                select(*(select(func.max(column)).scalar_subquery() for column in columns))
             ).one()
         # Only identifiers with a time count, sorted as text: databases edited by hand may hold others.
-        return max((one for one in highest_ids if one is not None and time_of_id(one) is not None), default="")
+        return max(
+            (
+                identifier
+                for identifier in highest_ids
+                if identifier is not None and time_of_id(identifier) is not None
+            ),
+            default="",
+        )
 
     def count_rows(self) -> dict[str, int]:
         """Return how many sensors, runs, frames, samples and loads are stored."""

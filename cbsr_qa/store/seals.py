@@ -89,4 +89,4 @@ def _digest_checks(connection: Connection, checks: Sequence[str]) -> dict[str, s
     except FOREIGN_CELL:
         if len(checks) == 1:
             return {checks[0]: ""}
-        return {check: digest for one in checks for check, digest in _digest_checks(connection, [one]).items()}
+        return {check: _digest_checks(connection, [check])[check] for check in checks}

@@ -73,7 +73,7 @@ class Soundness:
         """
         left_out = {*KEYS, LinkRow.__tablename__, StationCheckFramesRow.__tablename__, OutboxRow.__tablename__}
         with reading(self._engine) as connection:
-            for mapper in sorted(Base.registry.mappers, key=lambda one: one.class_.__tablename__):
+            for mapper in sorted(Base.registry.mappers, key=lambda mapper_: mapper_.class_.__tablename__):
                 if mapper.class_.__tablename__ not in left_out:
                     yield from read_rows_apart(connection, mapper.class_).problems
             yield from begun.name_odd_rows(connection)
@@ -96,7 +96,7 @@ class Soundness:
         with reading(self._engine) as connection:
             with keep_odd_text(connection):
                 # Serials that are no text are odd rows, which find_odd_rows names.
-                serials = [one for one in connection.scalars(untested_query) if isinstance(one, str)]
+                serials = [serial for serial in connection.scalars(untested_query) if isinstance(serial, str)]
             for serial in serials:
                 yield f"sensors (serial {serial}) has a batch or type of which no run tested it"
             for row in connection.execute(swapped_query.order_by(CalibrationRow.calibration)):

@@ -43,7 +43,7 @@ class StationChecks:
         StoreError
             If it is already stored, its golden run is missing, or the database cannot be written.
         """
-        instruments = [row_of(InstrumentRow, one) for one in check.instruments]
+        instruments = [row_of(InstrumentRow, instrument) for instrument in check.instruments]
         values = row_of(StationCheckRow, check, check_id=check.check, instruments=instruments, seal=None)
         lines = [
             row_of(StationCheckLineRow, line, check_id=check.check, number=number)
@@ -51,7 +51,7 @@ class StationChecks:
         ]
         rings = []
         if ring is not None:
-            ring_cells = {"check_id": check.check, "resistances_ohm": [float(one) for one in ring.resistances_ohm]}
+            ring_cells = {"check_id": check.check, "resistances_ohm": [float(ohm) for ohm in ring.resistances_ohm]}
             rings = [ring_cells | frame_values(ring.frames)]
         tables = (StationCheckRow, [values]), (StationCheckLineRow, lines), (StationCheckFramesRow, rings)
         with writing(self._engine) as connection:
@@ -118,11 +118,11 @@ class StationChecks:
 
 
 def _read_checks(
-    connection: Connection, wanted: Sequence[ColumnElement[bool]], order: Sequence[ColumnElement[Any]]
+    connection: Connection, conditions: Sequence[ColumnElement[bool]], order: Sequence[ColumnElement[Any]]
 ) -> Iterator[StationCheck]:
     """Yield checks in an order; those that cannot be read are left out."""
     row = StationCheckRow
-    names: Any = select(type_coerce(row.check_id, NullType())).where(*wanted).order_by(*order)
+    names: Any = select(type_coerce(row.check_id, NullType())).where(*conditions).order_by(*order)
     with keep_odd_text(connection):
         stored = connection.scalars(names).all()
     for name in stored:

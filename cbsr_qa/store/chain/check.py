@@ -117,7 +117,9 @@ def _check_chain(connection: Connection, run: str, kinds: Collection[str]) -> Ch
         _check_link(run, link, key_id, key)
     if not kinds:
         read_checked(connection, run)
-    _check_rows(connection, run, kinds or ALL_KINDS, {(one.kind, one.document): one.content_sha256 for one in links})
+    _check_rows(
+        connection, run, kinds or ALL_KINDS, {(link.kind, link.document): link.content_sha256 for link in links}
+    )
     if AnalysisRow.__tablename__ in kinds and runs_with_a_gap(connection, [run]):
         return _check_chain(connection, run, ())  # names the link
     return chain_state(connection, row.chain)
@@ -224,11 +226,11 @@ def digest_documents(
     connection: Connection, run: str, kinds: Collection[str] = ALL_KINDS
 ) -> Iterator[tuple[str, str, str]]:
     """Yield kind, key and content digest of the stored documents of a run, figures left out."""
-    for table in (one for one in tables() if one.name in kinds):
+    for table in (table for table in tables() if table.name in kinds):
         # Every number but 0 is read as true, so the flag itself selects the rows.
         columns = (
-            type_coerce(one, Integer).label(one.name) if isinstance(one.type, Boolean) else one
-            for one in list_covered(table)
+            type_coerce(column, Integer).label(column.name) if isinstance(column.type, Boolean) else column
+            for column in list_covered(table)
         )
         query = select(*columns).where(select_run(table, run))
         for key, content in documents(table, connection.execute(query).mappings()):
@@ -244,5 +246,5 @@ def select_run(table: Table, run: str) -> Any:
     return table.c[name].in_(select(getattr(owner, name)).where(owner.run == run))
 
 
-def _broken(run: str, what: str) -> StoreError:
-    return StoreError(f"run {run}: {what}", remedy=RESTORE)
+def _broken(run: str, problem: str) -> StoreError:
+    return StoreError(f"run {run}: {problem}", remedy=RESTORE)

@@ -38,20 +38,20 @@ class Figures:
 
     def __init__(self, connection: Connection, query: Executable, places: dict[str, int]) -> None:
         """Fetch analysis, value, joined words, lower and upper limit; whole columns at a time."""
-        run, said, value = array("i"), array("i"), array("d")
+        run, saying_indexes, value = array("i"), array("i"), array("d")
         sayings: defaultdict[tuple[Any, ...], int] = defaultdict()
         sayings.default_factory = sayings.__len__
         rows = connection.execute(query.execution_options(stream_results=True, max_row_buffer=AT_ONCE))
         for block in rows.partitions(_BLOCK):
-            analysis, number, *what = zip(*block, strict=True)
+            analysis, number, *saying = zip(*block, strict=True)
             run.extend(map(places.get, analysis, repeat(-1)))
-            said.extend(map(sayings.__getitem__, zip(*what, strict=True)))
+            saying_indexes.extend(map(sayings.__getitem__, zip(*saying, strict=True)))
             value.frombytes(np.array(number, dtype=np.float64).tobytes())
         self.sayings = list(sayings)
         # Earlier analyses of a run, and those stored during this read, are left out.
         places_of = np.array(run, dtype=np.int32)
         listed = places_of >= 0
-        self.place, self.said = places_of[listed], np.array(said, dtype=np.int32)[listed]
+        self.place, self.said = places_of[listed], np.array(saying_indexes, dtype=np.int32)[listed]
         self.value = np.array(value, dtype=np.float64)[listed]
 
 
@@ -94,8 +94,8 @@ def check_figures(
 
 
 def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, tuple[str, str]]) -> list[Known]:
-    said = ["" if one is None else one[2] for one in known]
-    digests = contents(said, figures.place, figures.said, figures.value, figures.sayings)
+    texts = ["" if one is None else one[2] for one in known]
+    digests = contents(texts, figures.place, figures.said, figures.value, figures.sayings)
     return [
         one
         for one, content in zip(known, digests, strict=True)

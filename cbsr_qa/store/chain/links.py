@@ -148,7 +148,7 @@ def add_rows(connection: Connection, run: str, table: Any, rows: Sequence[Mappin
         return
     _insert(connection, table, rows)
     kind = table.__tablename__
-    add_links(connection, run, [(kind, *one) for one in documents(table.__table__, rows)])
+    add_links(connection, run, [(kind, *document) for document in documents(table.__table__, rows)])
 
 
 def add_links(connection: Connection, run: str, entries: Iterable[tuple[str, str, str]]) -> None:

@@ -42,17 +42,17 @@ def documents_in_columns(table: Table, columns: Mapping[str, Sequence[Any]], key
     grouped = defaultdict[str, list[str]](list)
     for key, text in zip(keys, texts, strict=True):
         grouped[key].append(text)
-    return {key: sha256(*sorted(some)) for key, some in grouped.items()}
+    return {key: sha256(*sorted(document_texts)) for key, document_texts in grouped.items()}
 
 
 def row_texts(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[str]:
     """Return rows as canonical JSON: what row_text returns of each of them."""
     cells = [_texts(key, how, columns[name]) for name, key, how in list_writers(table)]
-    filled = [some for some in cells if some is not None]
+    filled = [texts for texts in cells if texts is not None]
     if not filled:
         return ["{}"] * len(next(iter(columns.values())))
-    if any("" in some for some in filled):
-        return [f"{{{','.join(filter(None, some))}}}" for some in zip(*filled, strict=True)]
+    if any("" in texts for texts in filled):
+        return [f"{{{','.join(filter(None, texts))}}}" for texts in zip(*filled, strict=True)]
     return [f"{{{text}}}" for text in map(",".join, zip(*filled, strict=True))]
 
 
@@ -71,6 +71,6 @@ def _texts(key: str, how: Callable[[Any], str], column: Sequence[Any]) -> Sequen
             return list(map(written_once.__getitem__, column))
     objects = {id(cell): cell for cell in column}  # JSON that many rows share is parsed once
     if len(objects) * _OFTEN <= len(column):
-        texts = {one: "" if cell is None else key + how(cell) for one, cell in objects.items()}
+        texts = {identity: "" if cell is None else key + how(cell) for identity, cell in objects.items()}
         return [texts[id(cell)] for cell in column]
     return ["" if cell is None else key + how(cell) for cell in column]

@@ -51,13 +51,13 @@ class ReadRows:
         """Yield the cells of some columns, row by row."""
         return zip(*(self.columns[name] for name in names), strict=True)
 
-    def select_runs(self, wanted: Collection[str]) -> Self:
+    def select_runs(self, runs: Collection[str]) -> Self:
         """Return the rows of some of the runs."""
-        at = [place for place, run in enumerate(self.runs) if run in wanted]
-        if len(at) == len(self.runs):
+        indexes = [place for place, run in enumerate(self.runs) if run in runs]
+        if len(indexes) == len(self.runs):
             return self
-        columns = {name: [cells[place] for place in at] for name, cells in self.columns.items()}
-        return replace(self, runs=[self.runs[place] for place in at], columns=columns)
+        columns = {name: [cells[place] for place in indexes] for name, cells in self.columns.items()}
+        return replace(self, runs=[self.runs[place] for place in indexes], columns=columns)
 
     def digests(self) -> Iterator[tuple[_Place, str]]:
         """Yield the digest of every document among the rows."""
@@ -112,14 +112,14 @@ def _convert_cells(column: Any, cells: Sequence[Any]) -> Sequence[Any]:
         parsed = {text: json.loads(text) for text in set(cells) if text is not None}
         return [None if text is None else parsed[text] for text in cells]
     allowed = next((kinds for kind, kinds in _CELLS if isinstance(column.type, kind)), (object,))
-    for found in set(map(type, cells)):
-        if not issubclass(found, (*allowed, NoneType)):
-            raise TypeError(f"a cell of {column} holds {found.__name__}")
+    for cell_type in set(map(type, cells)):
+        if not issubclass(cell_type, (*allowed, NoneType)):
+            raise TypeError(f"a cell of {column} holds {cell_type.__name__}")
     return [cell and cell.hex() for cell in cells] if isinstance(column.type, Digest) else cells
 
 
 def find_altered(
-    connection: Connection, chains: Mapping[str, str | None], read: Iterable[ReadRows], *, ended: bool = False
+    connection: Connection, chains: Mapping[str, str | None], tables: Iterable[ReadRows], *, ended: bool = False
 ) -> dict[str, str]:
     """Compare rows with their links.
 
@@ -128,7 +128,7 @@ def find_altered(
     Parameters
     ----------
     chains : column ``runs.chain`` of every run that was read.
-    read : all rows of these runs in some tables.
+    tables : all rows of these runs in some tables.
     ended : whether no link may be missing from a run's last state on, where its results are.
 
     Returns
@@ -137,7 +137,7 @@ def find_altered(
     """
     stored: defaultdict[str, dict[_Place, str]] = defaultdict(dict)
     kinds = []
-    for rows in read:
+    for rows in tables:
         kinds.append(rows.table.name)
         for place, content in rows.digests():
             stored[place[0]][place] = content

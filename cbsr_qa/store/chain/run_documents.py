@@ -148,9 +148,9 @@ def list_covered(table: Table) -> tuple[Column[Any], ...]:
     """Return the columns a digest covers. Bytes have their own digest in the same row."""
     left_out = _LEFT_OUT | _SEALS
     return tuple(
-        one
-        for one in table.columns
-        if not isinstance(one.type, LargeBinary) and (table.name, one.name) not in left_out
+        column
+        for column in table.columns
+        if not isinstance(column.type, LargeBinary) and (table.name, column.name) not in left_out
     )
 
 
@@ -158,8 +158,8 @@ def list_covered(table: Table) -> tuple[Column[Any], ...]:
 def list_writers(table: Table) -> tuple[tuple[str, str, Callable[[Any], str]], ...]:
     """Return name, key in JSON and writer of the columns that a digest covers, sorted."""
     return tuple(
-        (one.name, f'"{one.name}":', next(how for kind, how in _WRITERS if isinstance(one.type, kind)))
-        for one in sorted(list_covered(table), key=lambda one: one.name)
+        (column.name, f'"{column.name}":', next(how for kind, how in _WRITERS if isinstance(column.type, kind)))
+        for column in sorted(list_covered(table), key=lambda column: column.name)
     )
 
 
@@ -183,15 +183,15 @@ def document_of(table: Table, row: Mapping[str, Any] | RowMapping) -> str:
 def documents(table: Table, rows: Iterable[Mapping[str, Any] | RowMapping]) -> Iterator[tuple[str, str]]:
     """Yield key and content digest of every document among rows of a table, in the order of their keys."""
     keyed = sorted([(document_of(table, row), row_text(table, row)) for row in rows])
-    for key, some in groupby(keyed, key=lambda one: one[0]):
-        yield key, sha256(*(text for _, text in some))
+    for key, group in groupby(keyed, key=lambda pair: pair[0]):
+        yield key, sha256(*(text for _, text in group))
 
 
 def name_document(kind: str, key: str) -> str:
     """Name a document for messages: its table and key columns."""
     names = ("analysis",) if kind == FIGURES else KEYS.get(kind, ("document",))
-    found = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
-    return f"{'run and measurement values' if kind == FIGURES else kind}{f' ({found})' if names else ''}"
+    key_text = ", ".join(f"{name} {value}" for name, value in zip(names, key.split("/"), strict=False))
+    return f"{'run and measurement values' if kind == FIGURES else kind}{f' ({key_text})' if names else ''}"
 
 
 #: Separates words that the database joins; no text contains it.
@@ -217,7 +217,7 @@ Saying = tuple[str, float | None, float | None]
 def words() -> ColumnElement[str]:
     """Join texts in the database: each column takes its time."""
     first, *others = (getattr(MeasurementRow, name) for name in JOINED)
-    return reduce(lambda joined, one: joined.concat(BETWEEN).concat(one), others, first)
+    return reduce(lambda joined, column: joined.concat(BETWEEN).concat(column), others, first)
 
 
 def facts(run: Any, analysis: str, outcome: str, software: Sequence[Sequence[str]]) -> str:
@@ -250,11 +250,11 @@ def contents(
     indices, numbers = said.astype("<i4").tobytes(), (value + 0.0).astype("<f8").tobytes()  # SQLite keeps no −0
     texts = [f"{text}{BETWEEN}{lower!r}{BETWEEN}{upper!r}" for text, lower, upper in sayings]
     digests: dict[bytes, bytes] = {}  # most analyses of a recipe describe their values in the same words
-    for one, begin, end in zip(known, ends[:-1], ends[1:], strict=True):
+    for facts_text, begin, end in zip(known, ends[:-1], ends[1:], strict=True):
         saying = indices[4 * begin : 4 * end]
         if saying not in digests:
             digests[saying] = _sha256("\n".join(texts[k] for k in said[begin:end])).digest()
-        total = _sha256(one)
+        total = _sha256(facts_text)
         total.update(digests[saying])
         total.update(numbers[8 * begin : 8 * end])
         yield total.hexdigest()
@@ -266,11 +266,11 @@ def figures_digest(connection: Connection, analysis: str) -> str:
     query = select(*RUN_COLUMNS, a.outcome, a.software).join(a, a.run == RunRow.run).where(a.analysis == analysis)
     run = connection.execute(query).one()
     rows = select(m.value, words(), m.lower_limit, m.upper_limit).where(m.analysis == analysis).order_by(m.number)
-    found = connection.execute(rows).all()
-    value = np.array([one[0] for one in found], dtype=np.float64)
-    said = np.arange(len(found), dtype=np.int32)
+    measurements = connection.execute(rows).all()
+    value = np.array([cells[0] for cells in measurements], dtype=np.float64)
+    said = np.arange(len(measurements), dtype=np.int32)
     known = facts(run, analysis, run.outcome, run.software)
-    return next(contents([known], 0 * said, said, value, [(one[1], one[2], one[3]) for one in found]))
+    return next(contents([known], 0 * said, said, value, [(cells[1], cells[2], cells[3]) for cells in measurements]))
 
 
 def _sha256(text: str) -> Any:

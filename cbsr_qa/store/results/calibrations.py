@@ -41,7 +41,7 @@ class Calibrations:
         columns = row.calibration, row.serial, row.run, row.analysis, row.issued_at, later
         query = select(*columns).where(row.serial == serial).order_by(row.calibration.desc())
         with reading(self._engine) as connection:
-            return tuple(CalibrationSummary(*found) for found in connection.execute(query))
+            return tuple(CalibrationSummary(*cells) for cells in connection.execute(query))
 
     def load_file(self, calibration: str) -> tuple[bytes, str]:
         """Return a calibration's file as issued, and its content's digest.
@@ -56,12 +56,12 @@ class Calibrations:
             query = select(row.run, row.file, row.file_sha256, row.content_sha256).where(
                 row.calibration == calibration
             )
-            found = connection.execute(query).one_or_none()
-            if found is None:
+            stored = connection.execute(query).one_or_none()
+            if stored is None:
                 raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
-            check_run(connection, found.run, RESULTS)
-        _check_file(calibration, found.file, found.file_sha256)
-        return found.file, found.content_sha256
+            check_run(connection, stored.run, RESULTS)
+        _check_file(calibration, stored.file, stored.file_sha256)
+        return stored.file, stored.content_sha256
 
 
 def insert_calibration(connection: Connection, calibration: Calibration, analysis: str) -> None:

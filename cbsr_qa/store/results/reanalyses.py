@@ -116,8 +116,8 @@ class Reanalyses:
             "compute_s": [[stage, float(seconds)] for stage, seconds in made.compute_s],
             "warnings": list(made.warnings),
             "measurements": [
-                {name: value for name, value in measurement_values(one).items() if value is not None}
-                for one in made.measurements
+                {name: value for name, value in measurement_values(measurement).items() if value is not None}
+                for measurement in made.measurements
             ],
         }
         with writing(self._engine) as connection:
@@ -135,8 +135,8 @@ class Reanalyses:
                     read_word(Outcome, row.outcome, "reanalyses.outcome", _name_reanalysis(reanalysis)), row.reason
                 ),
                 measurements=tuple(
-                    restore_measurement(_EMPTY | one, f"{_name_reanalysis(reanalysis)}, measurement {number},")
-                    for number, one in enumerate(row.measurements)
+                    restore_measurement(_EMPTY | cells, f"{_name_reanalysis(reanalysis)}, measurement {number},")
+                    for number, cells in enumerate(row.measurements)
                 ),
             )
 
@@ -159,7 +159,7 @@ class Reanalyses:
             why_none = f"the analysis was adopted from a re-analysis by {operator}: {why}; that issues no calibration"
             values = {**shared, "analysis": analysis, "calibration_why": why_none}
             bare = {name: None for name in _EMPTY if name not in _KEY}
-            add_analysis(connection, values, row.warnings, (bare | one for one in row.measurements))
+            add_analysis(connection, values, row.warnings, (bare | cells for cells in row.measurements))
             adopted = {"reanalysis": reanalysis, "operator": operator, "why": why, "adopted_at": adopted_at}
             add_rows(connection, row.run, AdoptionRow, [{"analysis": analysis, **adopted}])
         return analysis

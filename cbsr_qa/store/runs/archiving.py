@@ -96,7 +96,7 @@ class RunArchives:
         place_of(self._engine, folder / "run.h5")
         return folder
 
-    def archive(self, one: ArchivedRun, folder: Path, at: datetime) -> ArchivedRun:
+    def archive(self, run: ArchivedRun, folder: Path, at: datetime) -> ArchivedRun:
         """Move the frames of a run to a file.
 
         The file is on the disk, and was read back and compared with the database, before the arrays go from the rows.
@@ -107,19 +107,19 @@ class RunArchives:
             If the run was altered or is being written, or the file cannot be written or is another one; nothing is
             changed in the database then.
         """
-        file = folder / f"{one.run}.h5"
-        with writing_alone(self._engine, one.run, this_process("")):
+        file = folder / f"{run.run}.h5"
+        with writing_alone(self._engine, run.run, this_process("")):
             with reading(self._engine) as connection:
-                check_run(connection, one.run)
-                rows = _rows(connection, one.run)
+                check_run(connection, run.run)
+                rows = _rows(connection, run.run)
                 blocks = [(row.phase, row.block, frame_block(row)) for row in with_arrays(connection, rows)]
             if not file.exists():
-                write_archive(file, one.run, blocks)
+                write_archive(file, run.run, blocks)
             # Uncompressed, with HDF5's own, an archive takes less.
             max_bytes = _ARCHIVE_BYTES + sum(3 * block.voltages.nbytes + _BLOCK_BYTES for _, _, block in blocks)
             data = _verify(file, rows, max_bytes)
             values = {
-                "run": one.run,
+                "run": run.run,
                 "file": place_of(self._engine, file),
                 "file_bytes": len(data),
                 "file_sha256": hashlib.sha256(data).hexdigest(),
@@ -127,8 +127,8 @@ class RunArchives:
             }
             with writing(self._engine) as connection:
                 connection.execute(insert(ArchiveRow), values)
-                _empty(connection, one.run)
-        return ArchivedRun(one.run, one.serial, one.frames, one.database_bytes, str(file), len(data))
+                _empty(connection, run.run)
+        return ArchivedRun(run.run, run.serial, run.frames, run.database_bytes, str(file), len(data))
 
     def unarchive(self, run: str) -> ArchivedRun:
         """Bring the frames of a run back; its file stays, as copies of the database may name it.
@@ -157,22 +157,24 @@ class RunArchives:
         return ArchivedRun(run, serial, frames, size, str(file), len(data))
 
 
-def _has_passed(connection: Connection, one: ArchivedRun, before: datetime) -> bool:
+def _has_passed(connection: Connection, candidate: ArchivedRun, before: datetime) -> bool:
     """Whether a run finished long ago and passed, and so did the latest run of its sensor that has a verdict."""
-    states = select(RunStateRow.end, RunStateRow.noted_at).where(RunStateRow.run == one.run)
+    states = select(RunStateRow.end, RunStateRow.noted_at).where(RunStateRow.run == candidate.run)
     sessions = connection.execute(states.order_by(RunStateRow.number)).all()
     if not sessions or sessions[-1].end != EndReason.FINISHED:
         return False
     if any(session.noted_at is not None and session.noted_at >= before for session in sessions):
         return False
-    own = verdict_of(connection, one.run)
+    own = verdict_of(connection, candidate.run)
     if own is None or own.outcome not in _PASSED:
         return False
-    of_sensor = select(RunRow.run).where(RunRow.serial == one.serial).order_by(RunRow.run.desc())
+    of_sensor = select(RunRow.run).where(RunRow.serial == candidate.serial).order_by(RunRow.run.desc())
     for run in connection.scalars(of_sensor).all():
-        found = verdict_of(connection, run)
-        if found is not None and (found.altered or found.outcome is not None):  # altered: what it was is not known
-            return found.outcome in _PASSED
+        verdict = verdict_of(connection, run)
+        if verdict is not None and (
+            verdict.altered or verdict.outcome is not None
+        ):  # altered: what it was is not known
+            return verdict.outcome in _PASSED
     return False
 
 

@@ -26,10 +26,10 @@ def attendance_values(event: AttendanceEvent) -> dict[str, Any]:
 
 def attendance_of(connection: Connection, run: str) -> Iterator[AttendanceEvent]:
     """Yield the stored events of a run in their order. StoreError if the kind of one is unknown."""
-    row = AttendanceRow
-    query = select(*row.__table__.columns).where(row.run == run).order_by(row.time_s, row.phase, row.entry)
-    for one in connection.execute(query):
-        yield _event(one)
+    table = AttendanceRow
+    query = select(*table.__table__.columns).where(table.run == run)
+    for row in connection.execute(query.order_by(table.time_s, table.phase, table.entry)):
+        yield _event(row)
 
 
 def count_prompts(connection: Connection, run: str) -> int:

@@ -96,8 +96,8 @@ def _newest(connection: Connection) -> _Begun | None:
     """Return the run that was begun last; passes over rows with an odd cell, or a number that no run can have."""
     plain: list[Any] = [type_coerce(cell, NullType()) for cell in (RunBegunRow.run, RunBegunRow.sha256)]
     stored: Any = select(_NUMBER, *plain)
-    found = stored.where(_limit(connection) > _NUMBER).order_by(_NUMBER.desc())
-    with keep_odd_text(connection), connection.execute(found.execution_options(yield_per=10)) as rows:
+    newest = stored.where(_limit(connection) > _NUMBER).order_by(_NUMBER.desc())
+    with keep_odd_text(connection), connection.execute(newest.execution_options(yield_per=10)) as rows:
         for _, run, sha256 in rows:
             if isinstance(run, str) and isinstance(sha256, bytes) and len(sha256) == _DIGEST_BYTES:
                 return _Begun(run, sha256.hex())
@@ -142,17 +142,17 @@ def _gaps_between_runs(connection: Connection) -> Iterator[Gap]:
 
 
 def _gaps_in_list(connection: Connection) -> Iterator[Gap]:
-    begun, link = RunBegunRow, LinkRow
-    named: Any = type_coerce(begun.run, NullType()).label("run")
+    begun_row, link = RunBegunRow, LinkRow
+    named: Any = type_coerce(begun_row.run, NullType()).label("run")
     query = (
         select(named, type_coerce(RunRow.run, NullType()).label("present"))
-        .outerjoin(RunRow, RunRow.run == begun.run)
-        .outerjoin(link, and_(link.run == begun.run, link.number == 0))
-        .where(func.coalesce(link.sha256 != begun.sha256, link.sha256.is_(None)))
+        .outerjoin(RunRow, RunRow.run == begun_row.run)
+        .outerjoin(link, and_(link.run == begun_row.run, link.number == 0))
+        .where(func.coalesce(link.sha256 != begun_row.sha256, link.sha256.is_(None)))
     )
     with keep_odd_text(connection):
-        found = connection.execute(query.order_by(begun.number)).all()
-    for row in found:
+        rows = connection.execute(query.order_by(begun_row.number)).all()
+    for row in rows:
         if not isinstance(row.run, str):  # named by find_odd_rows
             continue
         what = "is missing" if row.present is None else "is another one by now"

@@ -32,10 +32,10 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
     for kind, name, names in list_files(identity, material):
         new = _content(now, kind)
         earlier = select(RunRow.run, RunRow.configuration).where(names, RunRow.run < identity.run)
-        found = connection.execute(earlier.order_by(RunRow.run.desc()).limit(1)).one_or_none()
-        if found is None:
+        earlier_row = connection.execute(earlier.order_by(RunRow.run.desc()).limit(1)).one_or_none()
+        if earlier_row is None:
             continue
-        old = _content(json.loads(found.configuration), kind)
+        old = _content(json.loads(earlier_row.configuration), kind)
         changed = differences(old, new)
         if changed:
             rows.append(
@@ -43,10 +43,10 @@ def note_changes(connection: Connection, identity: RunIdentity, configuration: s
                     "run": identity.run,
                     "kind": str(kind),
                     "name": name,
-                    "earlier_run": found.run,
+                    "earlier_run": earlier_row.run,
                     "old_sha256": _digest(old),
                     "new_sha256": _digest(new),
-                    "differences": [[one.key, one.before, one.after] for one in changed],
+                    "differences": [[change.key, change.before, change.after] for change in changed],
                     "operator": identity.operator,
                     "noted_at": identity.started_at,
                     "why": why or NO_REASON,

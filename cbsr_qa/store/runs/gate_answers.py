@@ -21,15 +21,15 @@ def add_answers(connection: Connection, run: str, answers: Sequence[GateAnswer])
     rows = [
         row_of(
             GateAnswerRow,
-            one,
+            answer,
             run=run,
             session=session,
-            subject=str(one.check),
-            policy=str(one.policy),
-            outcome=str(one.outcome),
-            operator=one.by,
+            subject=str(answer.check),
+            policy=str(answer.policy),
+            outcome=str(answer.outcome),
+            operator=answer.by,
         )
-        for one in answers
+        for answer in answers
     ]
     add_rows(connection, run, GateAnswerRow, rows)
 
@@ -38,7 +38,7 @@ def answers_of(connection: Connection, run: str) -> tuple[GateAnswer, ...]:
     """Return the answers stored with a run, by session and in the order of the checks."""
     rows = connection.execute(select(*GateAnswerRow.__table__.columns).where(GateAnswerRow.run == run))
     where = f"run {run}"
-    found = [
+    answers = [
         convert_row(
             GateAnswer,
             row,
@@ -50,4 +50,4 @@ def answers_of(connection: Connection, run: str) -> tuple[GateAnswer, ...]:
         for row in rows
     ]
     order = list(GateCheck)
-    return tuple(sorted(found, key=lambda one: (one.session, order.index(one.check))))
+    return tuple(sorted(answers, key=lambda answer: (answer.session, order.index(answer.check))))

@@ -76,7 +76,8 @@ def shift_times(event: RunEvent, offset_s: float) -> RunEvent:
 def _load(record: LoadRecord, offset_s: float) -> LoadRecord:
     times = {f.name: getattr(record, f.name) for f in fields(record) if f.name.endswith("_s")}
     eased = tuple(
-        replace(one, start_s=one.start_s + offset_s, hold_start_s=one.hold_start_s + offset_s) for one in record.eased
+        replace(step, start_s=step.start_s + offset_s, hold_start_s=step.hold_start_s + offset_s)
+        for step in record.eased
     )
     later = {name: time_s + offset_s for name, time_s in times.items() if time_s is not None}
     return replace(record, **later, eased=eased)
@@ -99,15 +100,15 @@ _TIMES = (
 
 def last_time_s(connection: Connection, run: str, phase: int | None = None) -> float:
     """Return the last time stored of a run, or of one phase; 0 where nothing is stored [s]."""
-    found: list[float | None] = [*_last_samples_s(connection, run, phase)]
+    times_s: list[float | None] = [*_last_samples_s(connection, run, phase)]
     for table, column in _TIMES:
         query = select(func.max(column)).where(table.run == run)
         if phase is not None:
             query = query.where(table.phase == phase)
-        found.append(connection.scalar(query))
+        times_s.append(connection.scalar(query))
     if phase is None:
-        found.append(connection.scalar(select(func.max(RunStateRow.time_s)).where(RunStateRow.run == run)))
-    return max((float(time_s) for time_s in found if time_s is not None), default=0.0)
+        times_s.append(connection.scalar(select(func.max(RunStateRow.time_s)).where(RunStateRow.run == run)))
+    return max((float(time_s) for time_s in times_s if time_s is not None), default=0.0)
 
 
 def _last_samples_s(connection: Connection, run: str, phase: int | None) -> Iterator[float]:
@@ -270,16 +271,16 @@ class Journal:
         detail: str,
         time_s: float,
         spent: tuple[tuple[str, float], ...],
-        begun: RunIdentity | None = None,
+        identity: RunIdentity | None = None,
     ) -> None:
         number = connection.scalar(select(func.count()).where(RunStateRow.run == self._run))
         values = {"run": self._run, "number": number, "end": str(end), "detail": detail, "time_s": time_s}
-        who = {
-            "operator": None if begun is None else begun.operator,
-            "software": None if begun is None else [list(pair) for pair in begun.software],
-            "noted_at": None if begun is None else begun.started_at,
+        session = {
+            "operator": None if identity is None else identity.operator,
+            "software": None if identity is None else [list(pair) for pair in identity.software],
+            "noted_at": None if identity is None else identity.started_at,
         }
-        row = {**values, **who, "spent": [[kind, float(s)] for kind, s in spent]}
+        row = {**values, **session, "spent": [[kind, float(s)] for kind, s in spent]}
         add_rows(connection, self._run, RunStateRow, [row])
 
     def _add(

@@ -201,23 +201,23 @@ class LiveRuns:
 def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
     with reading(engine) as connection:
         run = connection.scalar(select(RunRow.run).where(which).order_by(RunRow.run.desc()).limit(1))
-        found = None if run is None else verdict_of(connection, run)
-        if found is None:
+        verdict = None if run is None else verdict_of(connection, run)
+        if verdict is None:
             return None
         begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
         session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
         issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
         return fill_from_mapping(
             RunLook,
-            found.values,
-            worked_at=max(filter(None, (session_at or found.values["started_at"], found.analysed_at))),
-            end=found.end,
-            detail=found.end_detail,
-            outcome=found.outcome,
-            reason=found.altered or found.reason,
+            verdict.values,
+            worked_at=max(filter(None, (session_at or verdict.values["started_at"], verdict.analysed_at))),
+            end=verdict.end,
+            detail=verdict.end_detail,
+            outcome=verdict.outcome,
+            reason=verdict.altered or verdict.reason,
             calibrated=connection.scalar(issued) is not None,
-            decision=found.decision,
-            altered=found.altered,
+            decision=verdict.decision,
+            altered=verdict.altered,
         )
 
 
@@ -253,5 +253,5 @@ def load_record(row: Any) -> LoadRecord:
         row,
         index=row.load_index,
         load=convert_row(Load, row),
-        eased=tuple(EasedStrain(*map(float, one)) for one in row.eased or ()),
+        eased=tuple(EasedStrain(*map(float, step)) for step in row.eased or ()),
     )

@@ -53,26 +53,26 @@ def _group_rows(rows: Sequence[Any], kind_of: Callable[[Any], Any]) -> Iterable[
     return groups.items()
 
 
-def _check(what: str, header: str, arrays: Sequence[_Array], end: bytes, rows: Sequence[Any]) -> None:
+def _check(kind: str, header: str, arrays: Sequence[_Array], end: bytes, rows: Sequence[Any]) -> None:
     """Compare the digests of rows of one kind; where any is wrong, one by one, to name the row."""
     try:
-        found = _digests(header, arrays, end, rows)
+        digests = _digests(header, arrays, end, rows)
     except ValueError:
-        found = []
-    if found == [row.sha256 for row in rows]:
+        digests = []
+    if digests == [row.sha256 for row in rows]:
         return
     if len(rows) == 1:
-        raise damage_error(what, rows[0].run, rows[0].phase, rows[0].block)
+        raise damage_error(kind, rows[0].run, rows[0].phase, rows[0].block)
     for row in rows:
-        _check(what, header, arrays, end, [row])
+        _check(kind, header, arrays, end, [row])
 
 
 def _digests(header: str, arrays: Sequence[_Array], end: bytes, rows: Sequence[Any]) -> list[bytes]:
     """Digests of rows as :func:`~cbsr_qa.store.types.digest`; ValueError where a cell is not of its size."""
     parts: list[Iterable[bytes]] = [repeat(header.encode(), len(rows))]
-    for one in arrays:
-        cells = [getattr(row, one.column) for row in rows]
-        parts.append(repeat(one.size.to_bytes(8, "little"), len(rows)))
-        parts.append(restore_many(cells, one.size, one.width, steps=one.steps))
+    for array in arrays:
+        cells = [getattr(row, array.column) for row in rows]
+        parts.append(repeat(array.size.to_bytes(8, "little"), len(rows)))
+        parts.append(restore_many(cells, array.size, array.width, steps=array.steps))
     parts.append(repeat(end, len(rows)))
-    return [hashlib.sha256(b"".join(some)).digest() for some in zip(*parts, strict=True)]
+    return [hashlib.sha256(b"".join(row_parts)).digest() for row_parts in zip(*parts, strict=True)]

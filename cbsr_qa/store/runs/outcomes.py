@@ -94,20 +94,20 @@ def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:
     engine = open_engine(parsed)
     try:
         with reading(engine.execution_options(**{KEY_OPTION: SigningKey.from_environment()})) as connection:
-            found = verdict_of(connection, run)
+            verdict = verdict_of(connection, run)
     finally:
         engine.dispose()
-    if found is None:
+    if verdict is None:
         raise NoRunError(f"there is no run {run} in {name_database(parsed)}")
-    return found.validate().result, found.outcome
+    return verdict.validate().result, verdict.outcome
 
 
 def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_check: bool) -> EarlierRun:
     try:
-        found = verdict_of(connection, run)
-        if found is None:
+        verdict = verdict_of(connection, run)
+        if verdict is None:
             raise StoreError(f"run {run} is no longer there")
-        decision, values = found.validate().decision, found.values
+        decision, values = verdict.validate().decision, verdict.values
     except (*FOREIGN_CELL, StoreError) as error:
         changed = problem_of(connection, run, error)
         began = time_of_id(run) or datetime.fromtimestamp(0, UTC)
@@ -118,12 +118,12 @@ def _earlier(connection: Connection, serial: str, run: str, recipe: str, *, of_c
         started_at=values["started_at"],
         sensor=SensorIdentity(values["serial"], values["batch"], values["sensor_type"]),
         recipe=values["recipe"],
-        end=found.end,
-        outcome=found.outcome,
-        reason=found.reason,
+        end=verdict.end,
+        outcome=verdict.outcome,
+        reason=verdict.reason,
         overridden=None if decision is None else (decision.outcome, decision.operator),
         of_check=of_check,
-        chained=found.chain.chained,
+        chained=verdict.chain.chained,
     )
 
 

@@ -72,5 +72,5 @@ def identity_of(connection: Connection, row: Row[Any]) -> RunIdentity:
         RunIdentity,
         row,
         sensor=convert_row(SensorIdentity, row),
-        instruments=tuple(convert_row(InstrumentIdentity, one) for one in instruments),
+        instruments=tuple(convert_row(InstrumentIdentity, instrument) for instrument in instruments),
     )

@@ -228,12 +228,17 @@ class Runs:
         with reading(self._engine) as connection:
             query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
             names = with_left_out(connection, selection, list(connection.scalars(query)))
-            found = list(read_verdicts(connection, names))
+            verdicts = list(read_verdicts(connection, names))
         return tuple(
             fill_from_mapping(
-                RunSummary, one.values, end=one.end, outcome=one.outcome, reason=one.reason, altered=one.altered
+                RunSummary,
+                verdict.values,
+                end=verdict.end,
+                outcome=verdict.outcome,
+                reason=verdict.reason,
+                altered=verdict.altered,
             )
-            for one in reversed(found)
+            for verdict in reversed(verdicts)
         )
 
     def resolve(self, run_or_serial: str) -> str:
@@ -275,8 +280,8 @@ def _phases(
     connection: Connection, run: str, sessions: tuple[RunSession, ...]
 ) -> tuple[tuple[PhaseRecord, ...], int]:
     """Return the phases of a run, and how many of their frames do not count."""
-    found = [_phase(connection, row, sessions) for row in connection.execute(phases_of(run)).all()]
-    return tuple(phase for phase, _ in found), sum(aside for _, aside in found)
+    phases = [_phase(connection, row, sessions) for row in connection.execute(phases_of(run)).all()]
+    return tuple(phase for phase, _ in phases), sum(aside for _, aside in phases)
 
 
 def _phase(connection: Connection, row: Row[Any], sessions: tuple[RunSession, ...]) -> tuple[PhaseRecord, int]:
@@ -311,17 +316,17 @@ def _frames(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple
     rows = _rows(connection, phase, FrameBlockRow, FrameBlockRow.block).all()
     blocks = [frame_block(row) for row in with_arrays(connection, rows)]
     counted = [within(block.time_s, spans) for block in blocks]
-    kept = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
-    return join_frames(kept) if kept else None, sum(int((~inside).sum()) for inside in counted)
+    counted_blocks = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
+    return join_frames(counted_blocks) if counted_blocks else None, sum(int((~inside).sum()) for inside in counted)
 
 
 def _samples(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple[SampleBlock, ...]:
     blocks = [sample_block(row) for row in _rows(connection, phase, SampleBlockRow, SampleBlockRow.block)]
     by_channel = groupby(sorted(blocks, key=lambda b: b.channel), key=lambda b: b.channel)  # stable sort
     joined = [join_samples(list(group)) for _, group in by_channel]
-    kept = [(block, within(block.time_s, spans)) for block in joined]
+    counted_blocks = [(block, within(block.time_s, spans)) for block in joined]
     return tuple(
         SampleBlock(block.channel, block.unit, block.time_s[inside], block.values[inside])
-        for block, inside in kept
+        for block, inside in counted_blocks
         if inside.any()
     )

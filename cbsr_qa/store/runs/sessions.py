@@ -36,15 +36,15 @@ Span = tuple[float, float]
 def sessions_of(connection: Connection, run: str) -> tuple[RunSession, ...]:
     """Return the sessions of a run in order."""
     states = select(*RunStateRow.__table__.columns).where(RunStateRow.run == run).order_by(RunStateRow.number)
-    found: list[RunSession] = []
-    begun = None
+    sessions: list[RunSession] = []
+    first_row = None
     for row in connection.execute(states):
         if row.end == EndReason.RUNNING:
-            begun = row
-            found.append(_session(row, row))
-        elif begun is not None:
-            found[-1] = _session(begun, row)
-    return tuple(found)
+            first_row = row
+            sessions.append(_session(row, row))
+        elif first_row is not None:
+            sessions[-1] = _session(first_row, row)
+    return tuple(sessions)
 
 
 def spans_that_count(
@@ -81,15 +81,15 @@ def within(time_s: Array, spans: Sequence[Span]) -> NDArray[np.bool_]:
     return inside
 
 
-def _session(begun: Row[Any], last: Row[Any]) -> RunSession:
+def _session(first: Row[Any], last: Row[Any]) -> RunSession:
     return RunSession(
-        started_s=begun.time_s,
-        ended_s=None if last is begun else last.time_s,
+        started_s=first.time_s,
+        ended_s=None if last is first else last.time_s,
         end=read_word(EndReason, last.end, "run_states.end", f"run {last.run}, state {last.number},"),
         detail=last.detail,
-        operator=begun.operator or "",
-        software=tuple((name, version) for name, version in begun.software or ()),
-        noted_at=begun.noted_at,
+        operator=first.operator or "",
+        software=tuple((name, version) for name, version in first.software or ()),
+        noted_at=first.noted_at,
     )
 
 
@@ -134,17 +134,17 @@ class UnfinishedRuns:
         )
         with reading(self._engine) as connection:
             rows = connection.execute(unfinished).all()
-            found = [(row, _stands(connection, row.run)) for row in rows]
+            states = [(row, _stands(connection, row.run)) for row in rows]
         return tuple(
             IncompleteRun(
                 row.run,
                 row.serial,
-                *stands,
+                *state,
                 read_word(EndReason, row.end, "run_states.end", f"run {row.run}"),
                 row.detail,
                 writer_of(self._engine, row.run),
             )
-            for row, stands in found
+            for row, state in states
         )
 
     def list_without_result(self) -> tuple[tuple[str, str], ...]:
@@ -164,14 +164,14 @@ def _stands(connection: Connection, run: str) -> tuple[str, str]:
     steps = select(StepRow.step, StepRow.time_s).where(
         StepRow.run == run, StepRow.phase == phase.phase, StepRow.attempt == 0
     )
-    begun = connection.execute(steps.order_by(StepRow.entry)).all()
-    presses = [row for row in begun if row.step["step"] == "Press"]
-    held = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase.phase)
+    begun_steps = connection.execute(steps.order_by(StepRow.entry)).all()
+    presses = [row for row in begun_steps if row.step["step"] == "Press"]
+    last_held = select(func.max(LoadRow.press_start_s)).where(LoadRow.run == run, LoadRow.phase == phase.phase)
     if presses:
-        last_held_s = connection.scalar(held)
+        last_held_s = connection.scalar(last_held)
         if last_held_s is None or last_held_s < presses[-1].time_s:  # the last press was not held to its end
             return phase.name, _words(presses[-1].step)
-    return phase.name, _words(begun[-1].step) if begun else "its first step"
+    return phase.name, _words(begun_steps[-1].step) if begun_steps else "its first step"
 
 
 def _words(step: dict[str, Any]) -> str:

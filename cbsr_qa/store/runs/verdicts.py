@@ -108,17 +108,19 @@ def verdict_of(connection: Connection, run: str) -> StoredVerdict | None:
 
 def _unreadable(connection: Connection, run: str, problem: str) -> list[StoredVerdict]:
     values = readable_values(connection, run)
-    shown = {name: value for name, value in values.items() if name not in _LONG}
+    shown_values = {name: value for name, value in values.items() if name not in _LONG}
     return [
-        StoredVerdict(shown, chain_state(connection, values["chain"]), EndReason.RUNNING, "", 0.0, altered=problem)
+        StoredVerdict(
+            shown_values, chain_state(connection, values["chain"]), EndReason.RUNNING, "", 0.0, altered=problem
+        )
     ]
 
 
 def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
     tables = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
-    own, states, analyses, overrides = read = [read_rows(connection, table, runs) for table in tables]
+    own, states, analyses, overrides = tables_read = [read_rows(connection, table, runs) for table in tables]
     chains = dict(zip(own.runs, own.columns["chain"], strict=True))
-    altered = find_altered(connection, chains, read, ended=True)
+    altered = find_altered(connection, chains, tables_read, ended=True)
     known_chains = {chain: chain_state(connection, chain) for chain in set(chains.values())}
     # Rows are sorted by run and key: the last one of a run holds.
     numbers = zip(states.runs, states.columns["number"], strict=True)
@@ -145,19 +147,21 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
         yield verdict if analysis is None else _with_result(verdict, analysis, decided.get((run, analysis[0])))
 
 
-def _with_result(found: StoredVerdict, analysis: tuple[Any, ...], override: tuple[Any, ...] | None) -> StoredVerdict:
+def _with_result(
+    verdict: StoredVerdict, analysis: tuple[Any, ...], override: tuple[Any, ...] | None
+) -> StoredVerdict:
     name, analysed_at, outcome, reason, software = analysis
     decision = None
     if override is not None:
         decided, operator, why = override
-        decided = read_word(Outcome, decided, "verdict_overrides.outcome", f"run {found.run}")
+        decided = read_word(Outcome, decided, "verdict_overrides.outcome", f"run {verdict.run}")
         decision = Decision(decided, operator, why)
     return StoredVerdict(
-        found.values,
-        found.chain,
-        found.end,
-        found.end_detail,
-        found.station_s,
+        verdict.values,
+        verdict.chain,
+        verdict.end,
+        verdict.end_detail,
+        verdict.station_s,
         name,
         analysed_at,
         _OUTCOMES.get(outcome) or read_word(Outcome, outcome, "analyses.outcome", f"analysis {name}"),

@@ -79,11 +79,11 @@ def tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
     try:
         return _read_tails(engine, runs)
     except OddCellError:
-        found: dict[str, Tail | None] = {}
+        tail_by_run: dict[str, Tail | None] = {}
         for run in runs:
             with suppress(OddCellError):
-                found |= _read_tails(engine, [run])
-        return found
+                tail_by_run |= _read_tails(engine, [run])
+        return tail_by_run
 
 
 def _read_tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
@@ -99,8 +99,8 @@ def _read_tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
     with reading(engine) as connection:
         rows = connection.execute(query).all()
     return {
-        one.run: None if one.chain is None else NOTHING if one.number is None else (one.number, one.sha256)
-        for one in rows
+        row.run: None if row.chain is None else NOTHING if row.number is None else (row.number, row.sha256)
+        for row in rows
     }
 
 
@@ -148,8 +148,8 @@ class Refusal:
 def refusals(engine: Engine) -> Sequence[Refusal]:
     """Return what was refused and is not settled, oldest first; rows that cannot be read are left out."""
     with reading(engine) as connection:
-        found = read_rows_apart(connection, SyncRefusalRow, _is_open())
-    return sorted((Refusal(**row) for row in found.rows), key=lambda one: (one.noted_at, one.item))
+        refusal_rows = read_rows_apart(connection, SyncRefusalRow, _is_open())
+    return sorted((Refusal(**row) for row in refusal_rows.rows), key=lambda refusal: (refusal.noted_at, refusal.item))
 
 
 def name_unread_refusals(engine: Engine) -> tuple[str, ...]:
@@ -165,7 +165,7 @@ def settle(engine: Engine, kind: str, item: str) -> None:
     with writing(engine) as connection:
         open_ones = read_rows_apart(connection, row, row.kind == kind, row.item == item, _is_open()).rows
         if open_ones:
-            latest = max(one["noted_at"] for one in open_ones)
+            latest = max(refusal["noted_at"] for refusal in open_ones)
             settled = {"kind": kind, "item": item, "settled_at": _later_moment(latest)}
             connection.execute(insert(SyncSettlementRow), settled)
 

@@ -104,8 +104,8 @@ def announce_missing(station: Engine) -> Mapping[str, begun.Gap]:
 def _drop_announced(connection: Connection, kind: Kind, items: Iterable[str]) -> list[str]:
     stored: Any = select(type_coerce(OutboxRow.item, NullType())).where(OutboxRow.kind == str(kind))
     with keep_odd_text(connection):
-        there = set(connection.scalars(stored))
-    return [item for item in items if item not in there]
+        announced_items = set(connection.scalars(stored))
+    return [item for item in items if item not in announced_items]
 
 
 def list_runs_only_at_centre(station: Engine, centre: Engine, day: date) -> tuple[str, ...]:
@@ -136,11 +136,11 @@ def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str])
         before = set(ours.scalars(select(RunRow.before_run).where(RunRow.run.in_(list(runs)[-_AT_ONCE:]))))
         before |= {begun.latest_begun(ours)}
         followers = select(RunRow.run, RunRow.before_run).where(RunRow.before_run.in_(before - {None}))
-        found = theirs.execute(followers.order_by(RunRow.run)).all()
-        here = set(ours.scalars(select(RunRow.run).where(RunRow.run.in_([row.run for row in found]))))
+        follower_rows = theirs.execute(followers.order_by(RunRow.run)).all()
+        here = set(ours.scalars(select(RunRow.run).where(RunRow.run.in_([row.run for row in follower_rows]))))
     return tuple(
         f"the centre has run {begun.name_run(row.run)}, which follows run {row.before_run} and is not in this"
         " database: it was removed here, or this is a copy or an older state of the database that it was begun in"
-        for row in found
+        for row in follower_rows
         if row.run not in here
     )

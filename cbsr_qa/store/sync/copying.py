@@ -52,7 +52,7 @@ def copy_rows(connection: Connection, table: Table, rows: Sequence[Sequence[Any]
     OverflowError
         If a cell does not fit the type of its column.
     """
-    columns = ", ".join(f'"{one.name}"' for one in table.columns)
+    columns = ", ".join(f'"{column.name}"' for column in table.columns)
     statement = f'COPY "{table.name}" ({columns}) FROM STDIN (FORMAT BINARY)'
     driver: Any = connection.connection.driver_connection
     dbapi: Any = connection.dialect.loaded_dbapi
@@ -82,7 +82,7 @@ def _fields(kind: object, cells: Sequence[Any]) -> tuple[Iterable[bytes], ...]:
     write = next((how for of_kind, how in _WRITERS if isinstance(kind, of_kind)), str.encode)
     if None in cells:
         written = [None if cell is None else write(cell) for cell in cells]
-        return [_NULL if one is None else _length(len(one)) for one in written], [one or b"" for one in written]
+        return [_NULL if cell is None else _length(len(cell)) for cell in written], [cell or b"" for cell in written]
     for of_kind, pack, size in _NUMBERS:
         if isinstance(kind, of_kind):
             return (list(map(pack, repeat(size), cells)),)

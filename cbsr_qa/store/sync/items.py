@@ -46,9 +46,9 @@ class Item:
 
 def read_item(connection: Connection, kind: Kind, name: str) -> Item | None:
     """Return an item, or None."""
-    head, *_ = tables = [Base.metadata.tables[one.__tablename__] for one in _TABLES[kind]]
+    head, *_ = tables = [Base.metadata.tables[model.__tablename__] for model in _TABLES[kind]]
     (key,) = head.primary_key.columns.keys()
-    rows = {one.name: connection.execute(raw_select(one).where(one.c[key] == name)).all() for one in tables}
+    rows = {table.name: connection.execute(raw_select(table).where(table.c[key] == name)).all() for table in tables}
     if not rows[head.name]:
         return None
     own = rows[head.name][0]._mapping
@@ -56,6 +56,6 @@ def read_item(connection: Connection, kind: Kind, name: str) -> Item | None:
     return Item(
         own.get("station", ""),
         sha256(*sorted(texts)),
-        {name: found for name, found in rows.items() if found},
+        {name: table_rows for name, table_rows in rows.items() if table_rows},
         tuple(run for column in _RUNS if (run := own.get(column)) is not None),
     )

@@ -94,8 +94,8 @@ class Parcel:
         total = 0
         for name, rows in self.rows.items():
             columns = Base.metadata.tables[name].columns
-            for at in (place for place, column in enumerate(columns) if is_bytes(column)):
-                total += sum([len(row[at] or b"") for row in rows])
+            for index in (place for place, column in enumerate(columns) if is_bytes(column)):
+                total += sum([len(row[index] or b"") for row in rows])
         return total
 
 
@@ -153,8 +153,8 @@ def _read_parcel(connection: Connection, run: str, tail: Tail, archives: Archive
 def newest_link(connection: Connection, run: str) -> Tail:
     """Return number and digest of the last link of a run; :data:`NOTHING` without one."""
     query = select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == run)
-    found = connection.execute(query.order_by(LinkRow.number.desc()).limit(1)).one_or_none()
-    return NOTHING if found is None else (found.number, found.sha256)
+    newest = connection.execute(query.order_by(LinkRow.number.desc()).limit(1)).one_or_none()
+    return NOTHING if newest is None else (newest.number, newest.sha256)
 
 
 def read_unchained(connection: Connection, run: str, centre: Mapping[tuple[str, str], str]) -> Parcel:
@@ -216,7 +216,7 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
         of_kind[kind].append(document)
     for table in (Base.metadata.tables[name] for name in _BLOCKS):
         if keys := of_kind[table.name]:
-            parts: list[Any] = [func.coalesce(func.length(one), 0) for one in table.columns if is_bytes(one)]
+            parts: list[Any] = [func.coalesce(func.length(column), 0) for column in table.columns if is_bytes(column)]
             if table.name == FrameBlockRow.__tablename__:  # an archived one has no bytes here
                 row = FrameBlockRow
                 parts += [case((func.length(row.voltages) == 0, 8 * row.frames * row.drives * row.measures), else_=0)]
@@ -231,16 +231,16 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
 
 
 def _check_chain(run: str, links: Sequence[Any], number: int, before: str, key: SigningKey | None) -> None:
-    for expected_number, (_, found, kind, document, content, own, mac) in enumerate(links, start=number + 1):
-        if found != expected_number:
+    for expected_number, (_, link_number, kind, document, content, own, mac) in enumerate(links, start=number + 1):
+        if link_number != expected_number:
             raise AlteredError(f"run {run}: link {expected_number} in run_links is missing")
         expected = link_digest(before, kind, document, content.hex())
         before = own.hex()
         if before != expected:
-            what = f"link {found} in run_links, of {name_document(kind, document)},"
+            what = f"link {link_number} in run_links, of {name_document(kind, document)},"
             raise AlteredError(f"run {run}: {what} does not follow from the link before it", expected, before)
         if key is not None and (mac is None or not key.verify(run, before, mac.hex())):
-            what = f"link {found} in run_links, of {name_document(kind, document)},"
+            what = f"link {link_number} in run_links, of {name_document(kind, document)},"
             raise AlteredError(f"run {run}: {what} was not signed with key {key.key_id}", before)
 
 

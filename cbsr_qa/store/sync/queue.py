@@ -156,13 +156,13 @@ def _unsent() -> ColumnElement[bool]:
     return or_(row.sent < row.version, case((open_run, newest), else_=0) > row.sent)
 
 
-def _read_entries(engine: Engine, *wanted: ColumnElement[bool]) -> tuple[tuple[Entry, ...], tuple[str, ...]]:
+def _read_entries(engine: Engine, *conditions: ColumnElement[bool]) -> tuple[tuple[Entry, ...], tuple[str, ...]]:
     """Return entries, and in words the rows that are none."""
     with reading(engine) as connection:
-        found = read_rows_apart(connection, OutboxRow, *wanted)
-    unknown = tuple(problem for row in found.rows if (problem := _find_unknown_word(row)))
-    entries = tuple(Entry(**row) for row in found.rows if not _find_unknown_word(row))
-    return entries, found.problems + unknown
+        rows_apart = read_rows_apart(connection, OutboxRow, *conditions)
+    unknown = tuple(problem for row in rows_apart.rows if (problem := _find_unknown_word(row)))
+    entries = tuple(Entry(**row) for row in rows_apart.rows if not _find_unknown_word(row))
+    return entries, rows_apart.problems + unknown
 
 
 def _find_unknown_word(row: Mapping[str, Any]) -> str:

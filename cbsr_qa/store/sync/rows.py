@@ -35,11 +35,11 @@ def within(table: Table, run: str, keys: Collection[str]) -> ColumnElement[bool]
     if not isinstance(table.c[names[0]].type, Whole):
         return and_(table.c[names[0]].in_(list(keys)))
     phases = {int(key) for key in {key.partition("/")[0] for key in keys}}
-    wanted = [select_run(table, run), table.c[names[0]].between(min(phases), max(phases))]
+    conditions = [select_run(table, run), table.c[names[0]].between(min(phases), max(phases))]
     if len(names) > 1 and len(phases) == 1:
         blocks = [int(key.rpartition("/")[2]) for key in keys]
-        wanted.append(table.c[names[1]].between(min(blocks), max(blocks)))
-    return and_(*wanted)
+        conditions.append(table.c[names[1]].between(min(blocks), max(blocks)))
+    return and_(*conditions)
 
 
 def counts_of(connection: Connection, run: str, names: Sequence[str]) -> dict[str, int]:
@@ -55,7 +55,7 @@ def _counting(names: tuple[str, ...]) -> Select[Any]:
     counted = [
         select(func.count()).select_from(metadata[name]).where(select_run(metadata[name], run)) for name in names
     ]
-    return select(*(one.scalar_subquery() for one in counted))
+    return select(*(query.scalar_subquery() for query in counted))
 
 
 def is_bytes(column: Any) -> bool:
@@ -81,8 +81,8 @@ def columns_of(table: Table, rows: Sequence[Sequence[Any]]) -> dict[str, Sequenc
     """Return the cells of rows from :func:`raw_select` by column, digests as hexadecimal digits."""
     cells = zip(*rows, strict=True) if rows else [()] * len(table.columns)
     return {
-        column.name: _digits(some) if isinstance(column.type, Digest) else some
-        for column, some in zip(table.columns, cells, strict=True)
+        column.name: _digits(column_cells) if isinstance(column.type, Digest) else column_cells
+        for column, column_cells in zip(table.columns, cells, strict=True)
     }
 
 

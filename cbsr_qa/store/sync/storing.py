@@ -122,14 +122,14 @@ def _add_sensor(connection: Connection, sensor: Row[Any]) -> None:
 
 
 def _add_rows(connection: Connection, parcel_rows: Mapping[str, Sequence[Sequence[Any]]]) -> None:
-    for name, some in parcel_rows.items():
+    for name, rows in parcel_rows.items():
         table = Base.metadata.tables[name]
         if connection.dialect.name == "postgresql":
-            copy_rows(connection, table, some)
+            copy_rows(connection, table, rows)
         else:
-            columns = columns_of(table, some)
-            rows = zip(*columns.values(), strict=True)
-            connection.execute(insert(table), [dict(zip(columns, row, strict=True)) for row in rows])
+            columns = columns_of(table, rows)
+            values = [dict(zip(columns, row, strict=True)) for row in zip(*columns.values(), strict=True)]
+            connection.execute(insert(table), values)
 
 
 def _compare_counts(connection: Connection, parcel: Parcel) -> None:
