@@ -73,7 +73,7 @@ class Soundness:
         """
         left_out = {*KEYS, LinkRow.__tablename__, StationCheckFramesRow.__tablename__, OutboxRow.__tablename__}
         with reading(self._engine) as connection:
-            for mapper in sorted(Base.registry.mappers, key=lambda mapper_: mapper_.class_.__tablename__):
+            for mapper in sorted(Base.registry.mappers, key=lambda mapper: mapper.class_.__tablename__):
                 if mapper.class_.__tablename__ not in left_out:
                     yield from read_rows_apart(connection, mapper.class_).problems
             yield from begun.name_odd_rows(connection)

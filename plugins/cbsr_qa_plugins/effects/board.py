@@ -136,8 +136,8 @@ class ReadingMemory(ReadingEffect):
     def _mixing_matrix(self, count: int) -> Array:
         """Shares of the readings x in the readings s, (n, n): the inverse of 1 − m (one back, the first the last)."""
         if self._shares is None or len(self._shares) != count:
-            kept, back = self.options.share, np.subtract.outer(np.arange(count), np.arange(count)) % count
-            self._shares = (1 - kept) * kept**back / (1 - kept**count)
+            share, back = self.options.share, np.subtract.outer(np.arange(count), np.arange(count)) % count
+            self._shares = (1 - share) * share**back / (1 - share**count)
         return self._shares
 
 

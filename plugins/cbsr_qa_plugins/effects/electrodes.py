@@ -135,12 +135,12 @@ class ElectrodeIntermittent(SceneEffect):
         began_s = moment.setting.began_s
         first_s, last_s = first_s + began_s, last_s + began_s
         blocks = range(math.floor(max(first_s, 0.0) / self._block_s), math.floor(last_s / self._block_s) + 1)
-        was, found = self._is_open(first_s), []
-        for at_s, mark in (event for block in blocks for event in self._events(block)):
-            if first_s < at_s <= last_s and mark != was:
-                was = mark
-                found.append(at_s - began_s)
-        return found
+        was_open, switch_times_s = self._is_open(first_s), []
+        for at_s, is_open in (event for block in blocks for event in self._events(block)):
+            if first_s < at_s <= last_s and is_open != was_open:
+                was_open = is_open
+                switch_times_s.append(at_s - began_s)
+        return switch_times_s
 
     def _is_open(self, time_s: float) -> bool:
         block = math.floor(time_s / self._block_s)

@@ -41,8 +41,8 @@ class Confinement(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        shape, given = setting.indenter.radius_mm / (2 * setting.sensor_type.thickness_mm), self.options.factor
-        self._factor = 1 + 2 * shape**2 if given is None else given
+        shape, factor = setting.indenter.radius_mm / (2 * setting.sensor_type.thickness_mm), self.options.factor
+        self._factor = 1 + 2 * shape**2 if factor is None else factor
 
     def apply(self, moment: Moment) -> None:
         moment.stress_kPa = [self._factor * stress for stress in moment.stress_kPa]

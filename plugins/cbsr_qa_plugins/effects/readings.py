@@ -70,8 +70,9 @@ class MeasurementNoise(_RelativeNoise):
 
     def prepare(self, setting: SceneSetting) -> None:
         options = self.options
-        given, floor = options.relative_noise, options.relative_floor
-        stated = setting.material.relative_noise.value if given is None else given
+        stated, floor = options.relative_noise, options.relative_floor
+        if stated is None:
+            stated = setting.material.relative_noise.value
         if floor > stated:
             raise ConfigError(
                 f"relative_floor is {floor:g}, more than the noise it is part of",

@@ -215,8 +215,8 @@ class UnloadingSpike(_Transient):
 
     def prepare(self, setting: SceneSetting) -> None:
         decay_s = self.options.decay_s
-        kept = -sum(setting.material.unloading_relaxation.weights)
-        kernel = Relaxation((kept - 1 - self.options.size, 0.0), (decay_s, decay_s), "scene")
+        unrelaxed = -sum(setting.material.unloading_relaxation.weights)
+        kernel = Relaxation((unrelaxed - 1 - self.options.size, 0.0), (decay_s, decay_s), "scene")
         self._begin(Transients(None, kernel, setting.material.against_strain))
 
 

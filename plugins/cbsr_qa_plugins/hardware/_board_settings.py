@@ -57,11 +57,11 @@ class BoardOptions(PluginOptions):
         """What the line can send, and what a converter can count."""
         if self.speed is None:
             yield Problem(("baud",), "is missing", "it must be that of the board's text")
-        elif (what := self.find_haste(BOARDS[0])) is not None:
-            yield Problem(("frame_period_s",), what, _CORRECT_HASTE)
+        elif (problem := self.find_haste(BOARDS[0])) is not None:
+            yield Problem(("frame_period_s",), problem, _CORRECT_HASTE)
         if self.signed and self.format == "binary":
-            what = "is true, but binary counts are unsigned"
-            yield Problem(("signed",), what, "leave it out; zero_counts says which count is 0 V")
+            problem = "is true, but binary counts are unsigned"
+            yield Problem(("signed",), problem, "leave it out; zero_counts says which count is 0 V")
         low, high = self.range_counts or self.limits
         if not self.limits[0] <= low < high <= self.limits[1]:
             allowed = f"the lowest and the highest count of a 16-bit converter, within {list(self.limits)}"

@@ -126,28 +126,28 @@ class BinaryStream(BoardStream):
 
     def _find_unique_start(self, start: int) -> int | None:
         """Return the only start within a round that keeps fitting; None if more bytes are needed."""
-        left = list(range(start, start + self._bytes))
+        candidates = list(range(start, start + self._bytes))
         for number in range(_MOST_ROUNDS):
             if len(self._held) < start + (number + 2) * self._bytes - 1:
                 return None
-            left = [k for k in left if self._fits(self._held, k + number * self._bytes)]
-            if len(left) < 2:
+            candidates = [k for k in candidates if self._fits(self._held, k + number * self._bytes)]
+            if len(candidates) < 2:
                 break
-        return left[0] if left else start
+        return candidates[0] if candidates else start
 
     def _drop(self, count: int) -> None:
         if count:
             self._spoil()
             self._held = self._held[count:]
 
-    def _fits(self, data: bytes, at: int) -> bool:
-        end = at + self._bytes
+    def _fits(self, data: bytes, start: int) -> bool:
+        end = start + self._bytes
         if data[end - 2] != _MARK or data[end - 1] != _RETURN:
             return False
-        return data[at + _RECORD - 1 : end - 2 : _RECORD].count(_RETURN) == self._pairs**2
+        return data[start + _RECORD - 1 : end - 2 : _RECORD].count(_RETURN) == self._pairs**2
 
-    def _counts(self, data: bytes, at: int = 0) -> Counts:
-        records = np.frombuffer(data, np.uint8, self._bytes - 2, at).reshape(-1, _RECORD)
+    def _counts(self, data: bytes, start: int = 0) -> Counts:
+        records = np.frombuffer(data, np.uint8, self._bytes - 2, start).reshape(-1, _RECORD)
         counts = records[:, 0].astype(np.int64) + 256 * records[:, 1].astype(np.int64)
         return counts.reshape(self._pairs, self._pairs)
 

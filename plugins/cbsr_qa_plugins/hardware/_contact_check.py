@@ -48,16 +48,16 @@ class ContactFault:
     def words(self) -> str:
         """Say it, e.g. ``pin 7 open: pairs 6-7 and 7-8 read 1.2 MΩ and 980 kΩ, the median pair 18.1 kΩ``."""
         if self.state is ContactState.TOUCH:
-            who = f"pins {_join_words(self.pins, 'and')} touch"
+            pins = f"pins {_join_words(self.pins, 'and')} touch"
         else:
-            who = f"pin{'' if len(self.pins) == 1 else 's'} {_join_words(self.pins, 'or')} {self.state}"
+            pins = f"pin{'' if len(self.pins) == 1 else 's'} {_join_words(self.pins, 'or')} {self.state}"
         plural = len(self.pairs) > 1
         pairs = _join_words([f"{a}-{b}" for a, b in self.pairs], "and")
         # If none could be driven, one message covers all.
-        read = _join_words(
+        readings = _join_words(
             [_format_ohm(ohm) for ohm in (self.ohm if np.isfinite(self.ohm).any() else self.ohm[:1])], "and"
         )
-        text = f"{who}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {read}"
+        text = f"{pins}: pair{'s' if plural else ''} {pairs} read{'' if plural else 's'} {readings}"
         return text + (f", the median pair {_format_ohm(self.median_ohm)}" if np.isfinite(self.median_ohm) else "")
 
 
@@ -93,20 +93,20 @@ def _explain_pairs(pairs: Sequence[Pair], high: NDArray[np.bool_]) -> Iterable[t
     for row, pair in enumerate(pairs):
         for pin in pair:
             rows_of.setdefault(pin, set()).add(row)
-    left = {int(row) for row in np.flatnonzero(high)}
-    bad = {pin: rows for pin, rows in rows_of.items() if rows <= left}
-    while left:
-        best = max((len(rows & left) for rows in bad.values()), default=0)
+    unexplained = {int(row) for row in np.flatnonzero(high)}
+    bad = {pin: rows for pin, rows in rows_of.items() if rows <= unexplained}
+    while unexplained:
+        best = max((len(rows & unexplained) for rows in bad.values()), default=0)
         if not best:
-            row = min(left)
-            left.discard(row)
+            row = min(unexplained)
+            unexplained.discard(row)
             yield tuple(sorted(pairs[row])), [row]
             continue
-        chosen = min(pin for pin, rows in bad.items() if len(rows & left) == best)
-        explained = bad[chosen] & left
-        alike = tuple(sorted(pin for pin, rows in bad.items() if rows & left == explained))
+        chosen = min(pin for pin, rows in bad.items() if len(rows & unexplained) == best)
+        explained = bad[chosen] & unexplained
+        alike = tuple(sorted(pin for pin, rows in bad.items() if rows & unexplained == explained))
         yield alike, sorted(bad[chosen])
-        left -= explained
+        unexplained -= explained
 
 
 def _join_words(values: Sequence[object], word: str) -> str:

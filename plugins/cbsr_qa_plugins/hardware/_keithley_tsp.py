@@ -134,8 +134,8 @@ class TspUnit:
         numbers = self._link.query_binary(f'{function}({rows}, "{word}")', rows * columns, mark=word)
         return numbers.reshape(rows, columns)
 
-    def check(self, wanted: dict[str, float]) -> None:
-        for (name, value), value_read in zip(wanted.items(), self.numbers(*wanted), strict=True):
+    def check(self, expected: dict[str, float]) -> None:
+        for (name, value), value_read in zip(expected.items(), self.numbers(*expected), strict=True):
             if abs(value_read - value) > _TOLERANCE * abs(value):
                 raise self._link.error(f"{name} was set to {value:.9g}, and reads back as {value_read:.9g}")
 

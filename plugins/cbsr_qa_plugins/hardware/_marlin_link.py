@@ -81,11 +81,11 @@ class MarlinLink:
     @contextmanager
     def alone(self, patience_s: float) -> Iterator[bool]:
         """Keep other threads from the line; false if one of them did not leave it within this time."""
-        held = self._exchanging.acquire(timeout=patience_s)
+        is_acquired = self._exchanging.acquire(timeout=patience_s)
         try:
-            yield held
+            yield is_acquired
         finally:
-            if held:
+            if is_acquired:
                 self._exchanging.release()
 
     def shout(self, *commands: str) -> None:
@@ -142,7 +142,7 @@ class MarlinLink:
         for _ in range(_ATTEMPTS):
             self._link.write(line)
             try:
-                lines, wanted = self._answer(lasts=text.startswith(_LASTING))
+                lines, requested = self._answer(lasts=text.startswith(_LASTING))
             except InstrumentError as error:
                 if not error.retryable:
                     raise
@@ -152,12 +152,12 @@ class MarlinLink:
                     raise self._link.error("it does not answer any more", remedy=_CHECK) from error
                 continue
             self.silent = False
-            if wanted in (None, number + 1):  # the latter: it was done before, and its answer was lost
+            if requested in (None, number + 1):  # the latter: it was done before, and its answer was lost
                 return lines
-            if wanted != number:
+            if requested != number:
                 self._forget()
                 raise self._link.error(
-                    f"it asks for line {wanted} instead of {number}: it has restarted", remedy=_HOME
+                    f"it asks for line {requested} instead of {number}: it has restarted", remedy=_HOME
                 )
         raise self._link.error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
 
@@ -167,19 +167,19 @@ class MarlinLink:
         ``lasts``: the command may take long, and the printer says only after a while that it is busy with it.
         """
         lines: list[str] = []
-        wanted: int | None = None
+        requested: int | None = None
         began_s = self._time.now()
         busy_s = max(self._link.timeout_s, _BUSY_EVERY_S)
         until_s = began_s + (busy_s if lasts else self._link.timeout_s)
         while True:
             line = self._line(max(until_s - self._time.now(), 0.0))
             if line.startswith("ok"):
-                return lines, wanted
+                return lines, requested
             if line.startswith("echo:busy") and self._time.now() < began_s + _BUSY_AT_MOST_S:
                 until_s = self._time.now() + busy_s
             elif line.startswith("Resend:"):
                 digits = line.partition(":")[2].strip()
-                wanted = int(digits) if digits.isdigit() else wanted
+                requested = int(digits) if digits.isdigit() else requested
             elif not line.startswith("Error:"):
                 lines.append(line)
 

@@ -137,8 +137,8 @@ class ErtBoardStream(DriverBase):
         self._check_count(count, retryable=True)
         with self._recover_link():
             since_s = self._earliest_start()
-            taken = [self._read_frame(since_s) for _ in range(count)]
-        return self._options.block([end_s for end_s, _ in taken], [frame.counts for _, frame in taken])
+            frames = [self._read_frame(since_s) for _ in range(count)]
+        return self._options.block([end_s for end_s, _ in frames], [frame.counts for _, frame in frames])
 
     def _earliest_start(self) -> float:
         """Return the earliest allowed start of a frame; discard earlier ones."""
@@ -248,11 +248,11 @@ class ErtBoardStream(DriverBase):
         after_s = self._clock.now() - asked_s
         if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
             return
-        held = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
+        received = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
         text = f"A and {self._pairs} lines of {self._pairs} counts"
         expected = text if self._text else f"frames of {binary_frame_bytes(self._pairs)} bytes"
         raise self._error(
-            f"sent {held} for {after_s:.3g} s; expected are {expected} every {self._period_s:g} s",
+            f"sent {received} for {after_s:.3g} s; expected are {expected} every {self._period_s:g} s",
             "check address, baud and format, and that the board has power",
             retryable=True,
         )

@@ -167,10 +167,10 @@ class Esp32Multiplexer(DriverBase):
 
     def _build_order(self) -> Order:
         skips = self._options.model_dump(include={"current_skip", "voltage_skip"})
-        most = self._pattern.electrode_count - 2
+        last_column = self._pattern.electrode_count - 2
         for key, skip in skips.items():
-            if skip > most:
-                remedy = f"it must be at most {most} with the electrodes of this sensor type"
+            if skip > last_column:
+                remedy = f"it must be at most {last_column} with the electrodes of this sensor type"
                 raise config_error(self._context, _DRIVER, f": {key} is {skip}", remedy)
         try:
             return stepping_order(self._pattern, inner=self._options.inner, **skips)
@@ -207,16 +207,16 @@ class Esp32Multiplexer(DriverBase):
 
     def _step_to_start(self) -> bool:
         """Step on to the first combination; false if already there."""
-        at = self._ask_position() if self._at is None else self._at
-        if at == 0:
+        position = self._ask_position() if self._at is None else self._at
+        if position == 0:
             return False
-        for _ in range(len(self._order) - at):
+        for _ in range(len(self._order) - position):
             self._step_once()
         if (reached := self._ask_position()) != 0:
             raise self._error(f"told to go to its first combination, it is at number {reached + 1}", retryable=True)
         return True
 
-    def _check_counter(self, at: int) -> None:
+    def _check_counter(self, position: int) -> None:
         """Compare its counter with its combination; a missing counter is accepted."""
         self._link.flush_input()
         self._link.write(b"c")
@@ -224,8 +224,8 @@ class Esp32Multiplexer(DriverBase):
         while self._time.now() < until_s and (counter := counter_in(answer)) is None:
             with suppress(InstrumentError):
                 answer += self._link.read(1, timeout_s=_QUIET_S)
-        if counter is not None and counter % len(self._order) != at:
-            raise self._error(f"its counter is at {counter}, and it connects combination number {at + 1}")
+        if counter is not None and counter % len(self._order) != position:
+            raise self._error(f"its counter is at {counter}, and it connects combination number {position + 1}")
 
     @contextmanager
     def _talking(self) -> Iterator[None]:

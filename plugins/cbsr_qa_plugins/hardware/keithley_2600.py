@@ -92,18 +92,18 @@ class Keithley2600(DriverBase):
 
         InstrumentError if the instrument does not confirm it.
         """
-        held = self._lock.acquire(timeout=_PATIENCE_S)
+        is_acquired = self._lock.acquire(timeout=_PATIENCE_S)
         try:
-            if not held:
+            if not is_acquired:
                 with suppress(InstrumentError):
                     self._switch_off()
                 # The one who hangs gives up at its timeout; only then can an answer be read.
-                held = self._lock.acquire(timeout=2 * self._link.timeout_s)
-                if not held:
+                is_acquired = self._lock.acquire(timeout=2 * self._link.timeout_s)
+                if not is_acquired:
                     raise self._error("told to switch off; another question hangs, so that it cannot confirm it")
             self._confirm_off()
         finally:
-            if held:
+            if is_acquired:
                 self._lock.release()
 
     def close(self) -> None:
@@ -276,7 +276,7 @@ class Keithley2600(DriverBase):
         return True
 
 
-def _zero(name: str, value: float, unit: str, most: float) -> CheckResult:
+def _zero(name: str, value: float, unit: str, largest: float) -> CheckResult:
     number = value if abs(value) < _NO_NUMBER else None
     remedy = "take the leads off and ask again: what is left is the unit's own and wants its calibration"
-    return check_result(name, abs(value) <= most, number, unit, f"within {most:.3g} {unit}", remedy=remedy)
+    return check_result(name, abs(value) <= largest, number, unit, f"within {largest:.3g} {unit}", remedy=remedy)

@@ -153,7 +153,7 @@ class ManualApplicator(DriverBase):
         if self._place in self._surfaces:
             return self._surfaces[self._place]
         x, y = self._place or (0.0, 0.0)
-        return self._surfaces[min(self._surfaces, key=lambda at: (at[0] - x) ** 2 + (at[1] - y) ** 2)]
+        return self._surfaces[min(self._surfaces, key=lambda place: (place[0] - x) ** 2 + (place[1] - y) ** 2)]
 
 
 def _words(place: tuple[float, float]) -> str:

@@ -202,12 +202,12 @@ class ManualLoadCell(HandRead):
         orders = -1 if self._head is None else self._head.orders
         if self._tare is None and not down:
             self._tare = self._ask_force("with the head up and nothing on it, read the load cell (its tare)")
-            shown = self._tare
+            reading = self._tare
         else:
-            shown = self._ask_force(f"read the load cell, the head is {'down' if down else 'up'}")
+            reading = self._ask_force(f"read the load cell, the head is {'down' if down else 'up'}")
         # No order can change the depth during this reading, which is taken in one thread.
         self._orders = orders
-        return (shown - (self._tare or 0.0)) * _NEWTONS[self._shown]
+        return (reading - (self._tare or 0.0)) * _NEWTONS[self._shown]
 
     def _ask_force(self, text: str) -> float:
         return self._operator.number(f"{text}, compression positive", self._shown, least=-self._most, most=self._most)

@@ -113,19 +113,19 @@ class ReplayedRecording(DriverBase):
         first = int(np.searchsorted(frames.time_s, self._clock.now() - self._shift_s))
         if first + count > len(frames):
             raise self._over(len(frames) - first, count)
-        taken = frames.select(slice(first, first + count))
-        end_s = float(taken.time_s[-1]) + self._period_s / 2 + self._shift_s
+        block = frames.select(slice(first, first + count))
+        end_s = float(block.time_s[-1]) + self._period_s / 2 + self._shift_s
         self._clock.sleep(end_s - self._clock.now())
-        own = None if taken.reading_time_s is None else taken.reading_time_s + self._shift_s
-        return replace(taken, time_s=taken.time_s + self._shift_s, reading_time_s=own)
+        own = None if block.reading_time_s is None else block.reading_time_s + self._shift_s
+        return replace(block, time_s=block.time_s + self._shift_s, reading_time_s=own)
 
-    def _over(self, left: int, asked: int) -> NoMoreFramesError:
+    def _over(self, remaining: int, asked: int) -> NoMoreFramesError:
         played_s = self._clock.now() - self._shift_s
-        held, end_s = len(self._recording.frames), float(self._recording.frames.time_s[-1])
+        frame_count, end_s = len(self._recording.frames), float(self._recording.frames.time_s[-1])
         return NoMoreFramesError(
             self._role,
             self._address,
-            f"the recording is over: at {played_s:.4g} s of it {left} of {held} frames are left,"
+            f"the recording is over: at {played_s:.4g} s of it {remaining} of {frame_count} frames are left,"
             f" {asked} asked for; the last is at {end_s:.4g} s",
             remedy="use a recipe that takes no longer than what was recorded",
         )
@@ -151,8 +151,8 @@ class ReplayedRecording(DriverBase):
     def _require_samples(self) -> SampleBlock:
         if self._samples is None:
             name = self._recording.path.name
-            held = ", ".join(block.channel for block in self._recording.samples) or "none"
-            remedy = f"channels it holds: {held}; take that role out of 'provides', or replay another recording"
+            channels = ", ".join(block.channel for block in self._recording.samples) or "none"
+            remedy = f"channels it holds: {channels}; take that role out of 'provides', or replay another recording"
             raise config_error(self._context, _DRIVER, f": {name} holds no channel {self._wanted!r}", remedy)
         return self._samples
 
@@ -201,15 +201,15 @@ def _read(context: StationContext, options: ReplayOptions) -> Recording:
 
 def _check_frames(recording: Recording, context: StationContext) -> None:
     """Refuse a recording whose frames are not those of a run."""
-    name, wanted = recording.path.name, context.sensor_type
-    (rows, columns), played = wanted.pattern.shape, recording.frames.voltages.shape[1:]
+    name, sensor_type = recording.path.name, context.sensor_type
+    (rows, columns), played = sensor_type.pattern.shape, recording.frames.voltages.shape[1:]
     problem = ""
-    if recording.sensor_type not in (None, wanted.name):
-        problem = f": {name} is of sensor type {recording.sensor_type!r}, not {wanted.name!r}"
+    if recording.sensor_type not in (None, sensor_type.name):
+        problem = f": {name} is of sensor type {recording.sensor_type!r}, not {sensor_type.name!r}"
         remedy = "replay a recording of this sensor type, or name the sensor type that was recorded"
     elif recording.scan is not ScanKind.FULL or played != (rows, columns):
         problem = f": frames of {name} have {played[0]} x {played[1]} readings;"
-        problem += f" sensor type {wanted.name!r} has {rows} x {columns}"
+        problem += f" sensor type {sensor_type.name!r} has {rows} x {columns}"
         remedy = "give the station the sensor type that was recorded"
     elif recording.still or len(recording.frames) < 2:
         problem = f": {name} holds {len(recording.frames)} frames"

@@ -115,8 +115,8 @@ class ScannedFrames(DriverBase):
             otherwise=CheckOutcome.WARNING if poor else CheckOutcome.FAILED,
         )
         volts = self._current_A * float(np.nanmax(np.where(np.isfinite(ohm), np.abs(ohm), 0.0)))
-        left = f"{volts:.3g} V of the source's {self._meter.compliance_V:g} V on the worst pair"
-        return contacts, CheckResult("current", CheckOutcome.OK, 1e3 * self._current_A, "mA", said=left)
+        voltage_text = f"{volts:.3g} V of the source's {self._meter.compliance_V:g} V on the worst pair"
+        return contacts, CheckResult("current", CheckOutcome.OK, 1e3 * self._current_A, "mA", said=voltage_text)
 
     def link(self, peers: Mapping[str, Instrument]) -> None:
         """Take meter and multiplexer, look at the contacts, and settle the current.
@@ -176,12 +176,12 @@ class ScannedFrames(DriverBase):
 
     def _check_round(self) -> None:
         """Check that a whole round ended at the multiplexer's first combination."""
-        at = self._multiplexer.position()
-        if at != 0:
+        position = self._multiplexer.position()
+        if position != 0:
             count = len(self._multiplexer.order())
             raise self._error(
-                f"after {count} steps the multiplexer is {min(at, count - at)} combinations from where it began:"
-                " steps were lost or done twice, and the frame is thrown away",
+                f"after {count} steps the multiplexer is {min(position, count - position)} combinations from where it"
+                " began: steps were lost or done twice, and the frame is thrown away",
                 retryable=True,
             )
 
@@ -207,8 +207,8 @@ class ScannedFrames(DriverBase):
         meter.off()
         self._check_round()
         stepping_s = self._clock.now() - start_s - reading_s
-        taken = int((~np.isnan(ohm)).sum())
-        each_s = reading_s / taken if taken else meter.reading_period_s
+        measured_pairs = int((~np.isnan(ohm)).sum())
+        each_s = reading_s / measured_pairs if measured_pairs else meter.reading_period_s
         self._period_s = stepping_s + each_s * len(multiplexer.order())
         return ohm
 

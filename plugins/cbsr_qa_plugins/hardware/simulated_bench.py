@@ -132,9 +132,9 @@ class SimulatedBench(HeadDriver):
         They come 8 a second from the beginning of each step, and from each order to the head within it.
         """
         self._check_open()
-        taken = list(self._addresses.samples(time_s, self._clock.now()))
-        forces = [self.world.force_N(at_s, address) for at_s, address in taken]
-        times = np.array([at_s for at_s, _ in taken], dtype=np.float64)
+        samples = list(self._addresses.samples(time_s, self._clock.now()))
+        forces = [self.world.force_N(at_s, address) for at_s, address in samples]
+        times = np.array([at_s for at_s, _ in samples], dtype=np.float64)
         return SampleBlock(self.channel, self.unit, times, np.array(forces, dtype=np.float64))
 
     # --- force applicator ---

@@ -33,8 +33,8 @@ class CalibrationCheck(WithOptions):
         def problems(self) -> Iterator[Problem]:
             """Five minutes at the station are not spent on a file that is not there."""
             if self.calibration is not None and not Path(self.calibration).is_file():
-                what = "it must be the path of a calibration file, from the folder the run is started in"
-                yield Problem(("calibration",), f"is {quote_value(self.calibration)}, where no file is", what)
+                problem = "it must be the path of a calibration file, from the folder the run is started in"
+                yield Problem(("calibration",), f"is {quote_value(self.calibration)}, where no file is", problem)
 
     measures: ClassVar[dict[str, str]] = {
         "sensitivity_change": "%",
@@ -48,8 +48,8 @@ class CalibrationCheck(WithOptions):
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         """Measure; without a calibration that fits, everything is without value and says why."""
         try:
-            given = self.options.calibration
-            path = Path(given) if given else _latest(run.record.identity.sensor.serial)
+            calibration = self.options.calibration
+            path = Path(calibration) if calibration else _latest(run.record.identity.sensor.serial)
             verification = verify_calibration(run, Calibration(read_contained(path)))
         except CbsrError as error:
             return tuple(Measurement(name, None, unit, how=error.reason) for name, unit in self.measures.items())
@@ -73,14 +73,14 @@ def _latest(serial: str) -> Path:
 def _measurements(verified: Verification, how: str) -> tuple[Measurement, ...]:
     of_loads = tuple(
         measurement_of_load(
-            each.load,
+            load.load,
             "calibrated_force_error",
-            each.estimated_N - each.measured_N,
+            load.estimated_N - load.measured_N,
             "N",
-            uncertainty=each.stderr_N,
-            how=f"{how}: {each.estimated_N:.3g} N where the load cell has {each.measured_N:.3g} N",
+            uncertainty=load.stderr_N,
+            how=f"{how}: {load.estimated_N:.3g} N where the load cell has {load.measured_N:.3g} N",
         )
-        for each in verified.loads
+        for load in verified.loads
     )
     change, stderr = 100 * (verified.sensitivity - 1), 100 * verified.sensitivity_stderr
     together = f"{how}, {len(verified.loads)} loads"

@@ -116,8 +116,10 @@ class Nonlinearity:
             measured = [_fit_nonlinearity(mean, scatter, line) for line in range(len(_LINES))]
         except NumericsError as error:
             return (refuse_measurement("nonlinearity", "%", error),)
-        each = [c for c in curves if len(c.strain) >= FEWEST_POINTS and c.stress_kPa is not None and c.span > 0]
-        return (*measured, *(_fit_nonlinearity(curve, scatter, 0) for curve in each))
+        usable_curves = [
+            c for c in curves if len(c.strain) >= FEWEST_POINTS and c.stress_kPa is not None and c.span > 0
+        ]
+        return (*measured, *(_fit_nonlinearity(curve, scatter, 0) for curve in usable_curves))
 
 
 def _fit_nonlinearity(curve: Characteristic, scatter: float | None, line: int) -> Measurement:

@@ -55,12 +55,12 @@ def _noise(run: RunObservation) -> Array | None:
     if len(frames) < _FEWEST_FRAMES:
         return None
     readings = changes(frames.voltages, run.reference, run.reconstruction.problem, run.scale)
-    left = off_the_line(readings, frames.time_s)
+    residuals = off_the_line(readings, frames.time_s)
     # Rounding of identical frames is not noise.
-    if np.abs(left).max() <= 1e-12 * np.abs(run.reconstruction.problem.reference).max():
-        return np.zeros_like(left)
-    left *= np.sqrt(len(frames) / (len(frames) - 2))
-    return left
+    if np.abs(residuals).max() <= 1e-12 * np.abs(run.reconstruction.problem.reference).max():
+        return np.zeros_like(residuals)
+    residuals *= np.sqrt(len(frames) / (len(frames) - 2))
+    return residuals
 
 
 def _signals(run: RunObservation) -> tuple[list[Array], str, str]:
@@ -83,10 +83,10 @@ def _measure_change(load: LoadObservation, run: RunObservation) -> Array | None:
     frames = run.record.phase(load.phase).frames
     if frames is None or load.steady_frames < 1:
         return None
-    held = frames.select_interval(load.record.hold_start_s, load.record.release_start_s)
-    if not len(held):
+    held_frames = frames.select_interval(load.record.hold_start_s, load.record.release_start_s)
+    if not len(held_frames):
         return None
-    steady = held.select(slice(-load.steady_frames, None)).voltages
+    steady = held_frames.select(slice(-load.steady_frames, None)).voltages
     readings = changes(steady, run.reference, run.reconstruction.problem, run.scale)
     change: Array = readings.mean(axis=0)
     return change if change.any() else None
@@ -200,8 +200,8 @@ def _drift(run: RunObservation) -> Measurement:
     if spread == 0:
         return Measurement("drift", None, "%/min", how="the unloaded frames carry one and the same time")
     slope = float(time_min @ scale) / spread
-    left = scale - scale.mean() - slope * time_min
-    stderr = float(np.sqrt(left @ left / (len(scale) - 2) / spread))
+    residuals = scale - scale.mean() - slope * time_min
+    stderr = float(np.sqrt(residuals @ residuals / (len(scale) - 2) / spread))
     return Measurement(
         "drift", 100 * slope, "%/min", 100 * stderr, how="slope of the unloaded frames' scale against the reference"
     )

@@ -85,8 +85,8 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
     mean_s, deviation_s = estimate_restricted_mean([time for time, _ in timed], [censored for _, censored in timed])
     how += f"; standard deviation {deviation_s:.3g} s"
     how += "; a lower bound (Kaplan–Meier)" if late else ""
-    kept = [len(m.fit.time_constants_s) for m in members if m.settling.value_s is not None]
-    one_exponential = 2 * kept.count(1) > len(kept)
+    term_counts = [len(m.fit.time_constants_s) for m in members if m.settling.value_s is not None]
+    one_exponential = 2 * term_counts.count(1) > len(term_counts)
     how += "; one exponential a load is biased to short times" if one_exponential else ""
     stderr_s = deviation_s / len(timed) ** 0.5 if len(timed) > 1 else None
     return Measurement(name, mean_s, "s", stderr_s, qualifier=qualifier, how=how, bound=_choose_bound(late > 0))
@@ -120,8 +120,8 @@ def _hold_end_change(members: list[_Member]) -> float | None:
     """Mean change at the end of the holds of unloadings; None for loadings."""
     if not members or members[0][1].loading:
         return None
-    held = [load.relaxation(released.signal, loading=True) for load, released in members]
-    ends = [pressed.trace.end_level for pressed in held if pressed is not None and len(pressed.trace.values)]
+    holds = [load.relaxation(released.signal, loading=True) for load, released in members]
+    ends = [pressed.trace.end_level for pressed in holds if pressed is not None and len(pressed.trace.values)]
     return sum(ends) / len(ends) if ends else 0.0
 
 

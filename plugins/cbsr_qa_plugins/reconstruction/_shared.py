@@ -33,9 +33,9 @@ class ParameterOptions(PluginOptions):
             yield from find_contradictions(self, "choose", ("noise_figure",))
 
     def regularisation(self) -> Regularisation:
-        given = getattr(self, self.given_as)
-        if given is not None:
-            return Regularisation(None, 1.0, float(given), self.given_as)
+        value = getattr(self, self.given_as)
+        if value is not None:
+            return Regularisation(None, 1.0, float(value), self.given_as)
         return Regularisation(Criterion(self.choose or "noise-figure"), self.noise_figure or 1.0, None, self.given_as)
 
 

@@ -87,20 +87,20 @@ class TruncatedSvd(WithOptions):
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
         regularisation = self.options.regularisation()
         value, how, curve = regularisation.choose(problem, Truncation)
-        truncation, kept = Truncation(problem), int(value)
+        truncation, components = Truncation(problem), int(value)
         bound = _noise_figure_bound(regularisation, problem, value, curve)
         if bound is not None:
-            kept = truncation.within(bound)
-        matrix = truncation.matrix(kept)
+            components = truncation.within(bound)
+        matrix = truncation.matrix(components)
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
         if bound is not None:
             weighted = "" if variance is None else ", weighted by their noise"
             how += (
                 f"; {int(value)} components there, chosen again on the {len(problem.reference)} readings in"
-                f" use{weighted}: the most within noise figure {bound:.2f} are {kept}, with {figure:.2f}"
+                f" use{weighted}: the most within noise figure {bound:.2f} are {components}, with {figure:.2f}"
             )
-        choice = ParameterChoice(float(kept), how, figure, "components kept", curve, regularisation.decided_by)
+        choice = ParameterChoice(float(components), how, figure, "components kept", curve, regularisation.decided_by)
         return LinearReconstruction(_NAME_TRUNCATED_SVD, problem, matrix, choice)
 
 
@@ -169,7 +169,7 @@ class Greit(WithOptions):
         base = problem if weighted else problem.nominal or problem
         where = "its own readings, weighted by their noise" if weighted else "the nominal model"
         how = f"noise figure {target:.2f} (Adler et al. 2009) on {where}"
-        found = hyperparameter_for(base, design, target)
-        answers = (ParameterAnswer("noise-figure", found.value, how),)
-        curve = ParameterCurve(found.searched, found.noise_figures, answers, target)
-        return found.value, how, curve
+        choice = hyperparameter_for(base, design, target)
+        answers = (ParameterAnswer("noise-figure", choice.value, how),)
+        curve = ParameterCurve(choice.searched, choice.noise_figures, answers, target)
+        return choice.value, how, curve

@@ -99,6 +99,6 @@ class AbsoluteGaussNewton(WithOptions):
 
     def prepare(self, problem: ImagingProblem) -> AbsoluteImages:
         """Compute the state of the unloaded sensor."""
-        given = self.options.model_dump(exclude={"noise_figure"})
-        expected = Expected(noise_figure=self.options.noise_figure or 1.0, **given)
+        settings = self.options.model_dump(exclude={"noise_figure"})
+        expected = Expected(noise_figure=self.options.noise_figure or 1.0, **settings)
         return AbsoluteImages.find(_NAME_ABSOLUTE_GAUSS_NEWTON, problem, expected)

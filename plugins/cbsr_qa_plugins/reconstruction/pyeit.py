@@ -144,11 +144,11 @@ def wrap_matrix(method: str, problem: ImagingProblem, matrix: Array, regularisat
     return LinearReconstruction(method, problem, matrix, choice)
 
 
-def solver(name: str, given: PyeitProblem) -> Any:
+def solver(name: str, pyeit_problem: PyeitProblem) -> Any:
     """Make one of pyEIT's solvers, not yet set up, by ``module:class``."""
     module, _, attribute = name.partition(":")
     with quiet():
-        return getattr(_module(module), attribute)(given.mesh, given.protocol)
+        return getattr(_module(module), attribute)(pyeit_problem.mesh, pyeit_problem.protocol)
 
 
 def _module(name: str) -> Any:
@@ -192,12 +192,12 @@ class PyeitJac(_PyeitMethod):
     """
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        given = pyeit_problem(problem, self.options.mesh_size)
-        jac = solver("pyeit.eit.jac:JAC", given)
+        converted = pyeit_problem(problem, self.options.mesh_size)
+        jac = solver("pyeit.eit.jac:JAC", converted)
         with quiet(), invertible():
             jac.setup(p=self.options.p, lamb=self.options.lamb, method="kotre", perm=1, jac_normalized=False)
         check_determined(np.einsum("me,me->e", jac.J, jac.J), self.options.p, self.options.lamb)
-        share = overlap_fractions(problem.mesh, given.elements)
+        share = overlap_fractions(problem.mesh, converted.elements)
         return wrap_matrix("pyeit-jac", problem, -(share @ np.asarray(jac.H, dtype=np.float64)), self.options.lamb)
 
 
@@ -225,8 +225,8 @@ class PyeitGreit(_PyeitMethod):
     options: Options
 
     def prepare(self, problem: ImagingProblem) -> LinearReconstruction:
-        given = pyeit_problem(problem, self.options.mesh_size)
-        greit = solver("pyeit.eit.greit:GREIT", given)
+        converted = pyeit_problem(problem, self.options.mesh_size)
+        greit = solver("pyeit.eit.greit:GREIT", converted)
         with quiet(), invertible():
             greit.setup(method="dist", perm=1, jac_normalized=False, **self.options.model_dump(exclude={"mesh_size"}))
         check_determined(np.einsum("me,me->m", greit.J, greit.J), self.options.p, self.options.lamb)
@@ -242,9 +242,9 @@ def _interpolate_raster(x: Array, y: Array, points: Array) -> sparse.csr_matrix:
     """
     places = []
     for axis, along in ((x, points[:, 0]), (y, points[:, 1])):
-        at = np.clip((along - axis[0]) / (axis[1] - axis[0]), 0, len(axis) - 1)
-        low = np.minimum(at.astype(np.int64), len(axis) - 2)
-        places.append((low, at - low))
+        positions = np.clip((along - axis[0]) / (axis[1] - axis[0]), 0, len(axis) - 1)
+        low = np.minimum(positions.astype(np.int64), len(axis) - 2)
+        places.append((low, positions - low))
     (column, right), (row, up) = places
     corners = [(row + i) * len(x) + column + j for i in (0, 1) for j in (0, 1)]
     weights = [(up if i else 1 - up) * (right if j else 1 - right) for i in (0, 1) for j in (0, 1)]

@@ -37,14 +37,15 @@ class CbsrRecording(OneDataSet):
                 f"of {len(recording.frames)} frames and a transcript of {len(lost)} none is whole",
                 remedy="write all frames with the transcript they were taken with, and lose fewer rows",
             )
-        kept = replace(recording, path=path, format=FORMAT, frames=recording.frames.select(~lost))
-        write_recording(path, replace(kept, frames_dropped=recording.frames_dropped + int(lost.sum())))
-        said = []
+        counted = replace(recording, path=path, format=FORMAT, frames=recording.frames.select(~lost))
+        write_recording(path, replace(counted, frames_dropped=recording.frames_dropped + int(lost.sum())))
+        omissions = []
         if lost.any():
-            said.append(f"{int(lost.sum())} of {len(lost)} frames lost rows and are left out; the file says how many")
+            lost_count = int(lost.sum())
+            omissions.append(f"{lost_count} of {len(lost)} frames lost rows and are left out; the file says how many")
         if transcript.dumps:
-            said.append(f"{len(transcript.dumps)} watchdog dumps are not written; their pauses are in the times")
-        return tuple(said)
+            omissions.append(f"{len(transcript.dumps)} watchdog dumps are not written; their pauses are in the times")
+        return tuple(omissions)
 
 
 def _from_first_frame(recording: Recording) -> Recording:

@@ -74,9 +74,9 @@ def real_matrices(data: bytes, rows: Collection[int]) -> tuple[dict[str, Array],
     ValueError
         If the file is cut or damaged, or claims more than a file of its length may hold.
     """
-    found: dict[str, Array] = {}
+    matrices: dict[str, Array] = {}
     complex_ones: list[str] = []
-    left = largest_content(len(data))
+    remaining_bytes = largest_content(len(data))
     for element, packed, order in _elements(data):
         variable = _header(_unpack(element, _BEGINNING) if packed else element[:_BEGINNING], order)
         if variable is None or len(variable.shape) != 2 or variable.shape[0] not in rows or not variable.shape[1]:
@@ -84,8 +84,8 @@ def real_matrices(data: bytes, rows: Collection[int]) -> tuple[dict[str, Array],
         if variable.is_complex:
             complex_ones.append(variable.name)
             continue
-        left -= 8 * variable.shape[0] * variable.shape[1]
-        if left < 0:
+        remaining_bytes -= 8 * variable.shape[0] * variable.shape[1]
+        if remaining_bytes < 0:
             raise ValueError(f"{variable.name} of {variable.shape} is too large for a file of {len(data)} bytes")
         if variable.size_bytes != variable.shape[0] * variable.shape[1] * np.dtype(variable.dtype).itemsize:
             raise ValueError(f"{variable.name} of {variable.shape} holds {variable.size_bytes} bytes")
@@ -94,8 +94,8 @@ def real_matrices(data: bytes, rows: Collection[int]) -> tuple[dict[str, Array],
         if len(values) != variable.size_bytes:
             raise ValueError(f"{variable.name} is cut")
         flat = np.frombuffer(values, dtype=variable.dtype)
-        found[variable.name] = flat.astype(np.float64).reshape(variable.shape, order="F")
-    return found, tuple(complex_ones)
+        matrices[variable.name] = flat.astype(np.float64).reshape(variable.shape, order="F")
+    return matrices, tuple(complex_ones)
 
 
 def _elements(data: bytes) -> Iterator[tuple[memoryview, bool, str]]:
@@ -103,23 +103,23 @@ def _elements(data: bytes) -> Iterator[tuple[memoryview, bool, str]]:
     order = {b"IM": "<", b"MI": ">"}.get(data[126:HEADER_BYTES])
     if order is None:
         raise ValueError("its header states no byte order of version 5")
-    at, count, view = HEADER_BYTES, 0, memoryview(data)
-    while at + 8 <= len(data):
-        kind, length = struct.unpack_from(f"{order}II", data, at)
+    offset, count, view = HEADER_BYTES, 0, memoryview(data)
+    while offset + 8 <= len(data):
+        kind, length = struct.unpack_from(f"{order}II", data, offset)
         count += 1
         if kind not in (_MATRIX, _PACKED) or count > _MOST_VARIABLES:
-            raise ValueError(f"no variable begins at byte {at}")
-        if at + 8 + length > len(data):
-            raise ValueError(f"the variable at byte {at} is cut")
+            raise ValueError(f"no variable begins at byte {offset}")
+        if offset + 8 + length > len(data):
+            raise ValueError(f"the variable at byte {offset} is cut")
         # Of what is packed, the first eight bytes repeat the kind and length of what is not.
-        yield view[at + 8 : at + 8 + length], kind == _PACKED, order
-        at += 8 + length
+        yield view[offset + 8 : offset + 8 + length], kind == _PACKED, order
+        offset += 8 + length
 
 
-def _unpack(element: memoryview, most: int) -> memoryview:
+def _unpack(element: memoryview, max_bytes: int) -> memoryview:
     """First bytes of a packed variable, after its tag."""
     try:
-        return memoryview(zlib.decompressobj().decompress(element, most + 8))[8:]
+        return memoryview(zlib.decompressobj().decompress(element, max_bytes + 8))[8:]
     except zlib.error as error:
         raise ValueError(f"a variable cannot be unpacked: {error}") from error
 
@@ -130,11 +130,11 @@ def _header(element: memoryview, order: str) -> _Variable | None:
         flags = struct.unpack_from(f"{order}I", element, 8)[0]
         if flags & 0xFF not in _NUMERIC_CLASSES or flags & _LOGICAL:
             return None
-        _, start, length, at = _part(element, 16, order)
+        _, start, length, offset = _part(element, 16, order)
         shape = struct.unpack_from(f"{order}{length // 4}i", element, start)
-        _, start, length, at = _part(element, at, order)
+        _, start, length, offset = _part(element, offset, order)
         name = bytes(element[start : start + length]).decode("ascii", errors="replace")
-        kind, start, length, _ = _part(element, at, order)
+        kind, start, length, _ = _part(element, offset, order)
     except struct.error as error:
         raise ValueError("the header of a variable is cut") from error
     if kind not in _TYPES or min(shape, default=-1) < 0:
@@ -142,12 +142,12 @@ def _header(element: memoryview, order: str) -> _Variable | None:
     return _Variable(name, shape, order + _TYPES[kind], start, length, bool(flags & _COMPLEX))
 
 
-def _part(element: memoryview, at: int, order: str) -> tuple[int, int, int, int]:
+def _part(element: memoryview, offset: int, order: str) -> tuple[int, int, int, int]:
     """Kind, start and length of a part of a variable, and where the next begins."""
-    kind, length = struct.unpack_from(f"{order}II", element, at)
+    kind, length = struct.unpack_from(f"{order}II", element, offset)
     if kind >> 16:  # a short one: up to four bytes, within the tag
-        return kind & 0xFFFF, at + 4, min(kind >> 16, 4), at + 8
-    return kind, at + 8, length, at + 8 + (length + 7) // 8 * 8
+        return kind & 0xFFFF, offset + 4, min(kind >> 16, 4), offset + 8
+    return kind, offset + 8, length, offset + 8 + (length + 7) // 8 * 8
 
 
 #: Rows of matrices that hold frames, by the electrodes of the ring: every drive pair with every measure pair.
@@ -232,15 +232,15 @@ def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
             f"{path.name} cannot be read as a MATLAB file: {error}",
             remedy="it is cut, damaged or of another format; get it again",
         ) from error
-    found = {name: matrix for name, matrix in matrices.items() if np.isfinite(matrix).all()}
-    unfit = [name for name in (*alternating, *matrices) if name not in found and (not found or name == asked)]
+    finite = {name: matrix for name, matrix in matrices.items() if np.isfinite(matrix).all()}
+    unfit = [name for name in (*alternating, *matrices) if name not in finite and (not finite or name == asked)]
     _refuse_unfit(path, unfit, alternating)
-    if not found:
+    if not finite:
         raise RecordingError(
             f"{path.name} holds no matrix of {_ROWS} rows",
             remedy=f"frames are columns of {_ROWS} values, index 16 or 32·drive + measure",
         )
-    return found
+    return finite
 
 
 def _refuse_unfit(path: Path, names: list[str], alternating: tuple[str, ...]) -> None:

@@ -98,18 +98,18 @@ def force_samples(
     -------
     One block of N, or none if the column is missing or constantly zero (load cell off), and notes.
     """
-    found = [line for line in lines if line.mass_g is not None and line.computer_s is not None]
-    if not any(line.mass_g for line in found):
+    force_lines = [line for line in lines if line.mass_g is not None and line.computer_s is not None]
+    if not any(line.mass_g for line in force_lines):
         return (), []
     notes = []
-    marked = [line for line in found if line.kind is LineKind.MARK]
-    if marked and not any(line.mass_g for line in found if line.kind is not LineKind.MARK):
-        found = marked
+    marked = [line for line in force_lines if line.kind is LineKind.MARK]
+    if marked and not any(line.mass_g for line in force_lines if line.kind is not LineKind.MARK):
+        force_lines = marked
         notes.append("the load cell was written on the frame marks only; the zeros beside the rows are not readings")
     times = np.array(
-        [(line.computer_s or 0.0) + clock.sessions[line.number] - clock.lag_s - zero_s for line in found]
+        [(line.computer_s or 0.0) + clock.sessions[line.number] - clock.lag_s - zero_s for line in force_lines]
     )
-    mass_g = np.array([line.mass_g or 0.0 for line in found])
+    mass_g = np.array([line.mass_g or 0.0 for line in force_lines])
     at_limit = int(np.sum(np.abs(mass_g + _CELL_LIMIT_G) < _CELL_LIMIT_BAND_G))
     if at_limit >= 3:
         notes.append(

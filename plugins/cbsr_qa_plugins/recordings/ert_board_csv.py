@@ -97,8 +97,8 @@ def _lines(path: Path) -> tuple[list[BoardLine], list[RowProblem]]:
         good = line.kind is LineKind.MARK or (line.kind is LineKind.ROW and len(line.numbers) in _WIDTHS)
         bad = 0 if good else bad + 1
         if bad == MOST_BAD_IN_A_ROW:
-            what = f"{bad} lines in a row hold no row of readings; the rest of the file was not read"
-            return kept, [RowProblem(line.number, what, False)]
+            problem = f"{bad} lines in a row hold no row of readings; the rest of the file was not read"
+            return kept, [RowProblem(line.number, problem, False)]
     return kept, []
 
 
@@ -110,8 +110,8 @@ def _parse_file(path: Path) -> Iterator[BoardLine]:
     for text in chain(top, raw):
         line = parse_line(text.number, text.text, with_mass=with_mass)
         if text.too_long:
-            said = f"a line of more than {len(text.text)} characters"
-            line = BoardLine(text.number, LineKind.GARBLED, line.computer_s, said=said)
+            problem = f"a line of more than {len(text.text)} characters"
+            line = BoardLine(text.number, LineKind.GARBLED, line.computer_s, said=problem)
         elif line.kind is LineKind.ROW and not text.ended and not line.closed:
             line = replace(line, kind=LineKind.GARBLED, said="cut row: the file ends in the middle of it")
         if line.kind is not LineKind.BLANK:
@@ -123,10 +123,10 @@ def _refuse_without_rows(path: Path, lines: list[BoardLine]) -> None:
         raise RecordingError(f"{path.name} is empty", remedy="record again, or analyse another file")
     kinds = Counter(line.kind for line in lines)
     if kinds[LineKind.ROW] == kinds[LineKind.GARBLED] == 0:
-        said = f"{kinds[LineKind.HEADER]} header lines"
-        said += f" and {kinds[LineKind.LOG]} log lines" if kinds[LineKind.LOG] else ""
+        contents = f"{kinds[LineKind.HEADER]} header lines"
+        contents += f" and {kinds[LineKind.LOG]} log lines" if kinds[LineKind.LOG] else ""
         raise RecordingError(
-            f"{path.name} holds only headers ({said}), not one row of readings",
+            f"{path.name} holds only headers ({contents}), not one row of readings",
             remedy="the board sent nothing: check its cable and power, then record again",
         )
 
@@ -151,10 +151,10 @@ def _replace_bad_rows(
     closed = [line.closed for line in lines if line.kind is LineKind.ROW and len(line.numbers) == form.width]
     commas = sum(closed) > len(closed) / 2
     for line in (_scale_row(line, form, scale) for line in lines):
-        what = complaint(line.numbers, form, scale) if line.kind is LineKind.ROW else ""
+        problem = complaint(line.numbers, form, scale) if line.kind is LineKind.ROW else ""
         if line.kind is LineKind.ROW and commas and not line.closed:
-            what = what or "cut row: no comma behind the last number, which may be cut too"
-        judged.append(replace(line, kind=LineKind.GARBLED, said=what) if what else line)
+            problem = problem or "cut row: no comma behind the last number, which may be cut too"
+        judged.append(replace(line, kind=LineKind.GARBLED, said=problem) if problem else line)
     if form.has_clock:
         judged = _clock_outliers(judged)
     faulty = [line for line in judged if line.kind in (LineKind.GARBLED, LineKind.TORN)]
@@ -166,8 +166,8 @@ def _scale_row(line: BoardLine, form: RowForm, scale: CountScale) -> BoardLine:
         return line
     clock, readings = line.numbers[: -form.pairs], line.numbers[-form.pairs :]
     if any(value % scale.factor for value in readings):
-        said = f"impossible: a reading is not a multiple of {scale.factor}, as all others are"
-        return replace(line, kind=LineKind.GARBLED, said=said)
+        problem = f"impossible: a reading is not a multiple of {scale.factor}, as all others are"
+        return replace(line, kind=LineKind.GARBLED, said=problem)
     return replace(line, numbers=(*clock, *(value // scale.factor for value in readings)))
 
 
@@ -178,8 +178,8 @@ def _clock_outliers(lines: list[BoardLine]) -> list[BoardLine]:
     for before, here, after in zip(rows, rows[1:], rows[2:], strict=False):
         first, own, last = (lines[k].numbers[0] for k in (before, here, after))
         if first <= last and not first <= own <= last and out[before].kind is LineKind.ROW:
-            said = f"absurd: the board's clock says {own} ms between rows at {first} and {last} ms"
-            out[here] = replace(lines[here], kind=LineKind.GARBLED, said=said)
+            problem = f"absurd: the board's clock says {own} ms between rows at {first} and {last} ms"
+            out[here] = replace(lines[here], kind=LineKind.GARBLED, said=problem)
     return out
 
 
@@ -230,17 +230,17 @@ def _recording(
 def _with_frames(problems: list[RowProblem], assembly: Assembly) -> list[RowProblem]:
     """Say beside each rejected row which frame it cost; frames that broke without one are problems of their own."""
     cost = {line: dropped.span for dropped in assembly.dropped for line in dropped.rejected_lines}
-    said = [replace(p, what=f"{p.what}; {cost[p.line]} dropped") if p.line in cost else p for p in problems]
+    with_frames = [replace(p, what=f"{p.what}; {cost[p.line]} dropped") if p.line in cost else p for p in problems]
     for dropped in assembly.dropped:
         if not dropped.rejected_lines:
-            said.append(RowProblem(dropped.first_line, f"{dropped.span} dropped: {dropped.why}", False))
-    return said + list(assembly.dumps)
+            with_frames.append(RowProblem(dropped.first_line, f"{dropped.span} dropped: {dropped.why}", False))
+    return with_frames + list(assembly.dumps)
 
 
 def _current(lines: list[BoardLine]) -> tuple[float | None, list[str]]:
     """Drive current [A] from ``Isrc:`` in µA; it was typed in by hand and may be text such as ``100plus``."""
     stated = [line.said for line in lines if line.kind is LineKind.HEADER and line.said.lower().startswith("isrc")]
-    texts = {said.partition(",")[2].partition(",")[0].strip() for said in stated}
+    texts = {text.partition(",")[2].partition(",")[0].strip() for text in stated}
     if not any(texts):
         return None, []
     if len(texts) > 1:

@@ -130,8 +130,8 @@ def parse_line(number: int, text: str, *, with_mass: bool) -> BoardLine:
     with_mass = with_mass and not whole_line
     mass_g = as_number(fields[1]) if with_mass and len(fields) > 1 else None
     payload = fields[2:] if with_mass else fields[1:]
-    kind, numbers, said = _payload(payload)
-    return BoardLine(number, kind, computer_s, mass_g, numbers, said, closed)
+    kind, numbers, log = _payload(payload)
+    return BoardLine(number, kind, computer_s, mass_g, numbers, log, closed)
 
 
 def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
@@ -146,8 +146,8 @@ def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
     leading = next(k for k, field in enumerate(fields) if not _INTEGER.match(field))
     odd = fields[leading] or "an empty field"
     if leading >= _NUMBERS_OF_A_ROW and ("\x1b" in odd or "task_wdt" in odd):
-        said = f"a log is printed into a row after {leading} numbers; the rest of the row follows it"
-        return LineKind.TORN, (), said
+        log = f"a log is printed into a row after {leading} numbers; the rest of the row follows it"
+        return LineKind.TORN, (), log
     return LineKind.GARBLED, (), f"{len(fields)} fields with {odd[:40]!r} among the numbers"
 
 
@@ -331,21 +331,21 @@ def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assemb
 
 def _dumps(lines: list[BoardLine]) -> list[RowProblem]:
     """Name each stretch of log lines once, by its first line."""
-    found: list[RowProblem] = []
+    dumps: list[RowProblem] = []
     rows_before = False
     for logged, group in groupby(lines, key=lambda line: line.kind in (LineKind.LOG, LineKind.TORN)):
         stretch = list(group)
         if logged:
-            found.append(_dump(stretch, rows_before))
+            dumps.append(_dump(stretch, rows_before))
         rows_before = rows_before or any(line.kind is LineKind.ROW for line in stretch)
-    return found
+    return dumps
 
 
 def _dump(stretch: list[BoardLine], rows_before: bool) -> RowProblem:
     text = " ".join(line.said for line in stretch)
     if "task_wdt" in text or "Backtrace" in text:
-        what = "watchdog dump"
+        name = "watchdog dump"
     else:
-        what = "log of the board" if rows_before else "start-up log of the board"
+        name = "log of the board" if rows_before else "start-up log of the board"
     lines = f"lines {stretch[0].number} to {stretch[-1].number}, {len(stretch)} lines"
-    return RowProblem(stretch[0].number, f"{what} ({lines}): left out, no readings in it", False)
+    return RowProblem(stretch[0].number, f"{name} ({lines}): left out, no readings in it", False)

@@ -147,17 +147,17 @@ def _write_dump(port: _Port, start_s: float, end_s: float) -> float:
 
 def _describe_conversion(recording: Recording, gain: float) -> list[str]:
     """Describe the conversion of volts, amperes and times."""
-    said = [
+    notes = [
         f"{gain:g} counts per volt: readings are rounded to {1e6 / gain:g} µV; the file does not state the scale",
         "rows carry the mean time of their readings, in whole milliseconds",
     ]
     cut = int((np.abs(recording.frames.voltages * gain) > END_COUNTS).any(axis=0).sum())
     if cut:
         count, at_V = recording.frames.voltages[0].size, END_COUNTS / gain
-        said.append(f"{cut} of the {count} readings, most of them at driven electrodes, are cut at {at_V:.3g} V")
+        notes.append(f"{cut} of the {count} readings, most of them at driven electrodes, are cut at {at_V:.3g} V")
     if recording.frames.current_A is not None:
-        said.append(f"the drive current of {1e3 * recording.frames.current_A:g} mA is not written")
-    return said
+        notes.append(f"the drive current of {1e3 * recording.frames.current_A:g} mA is not written")
+    return notes
 
 
 def _refuse_too_long(duration_s: float) -> None:

@@ -50,35 +50,36 @@ class Scans:
 def frames_of(stretches: list[Stretch]) -> Scans:
     """Cut stretches into frames of 256."""
     scans = Scans()
-    left: list[Reading] = []
+    unframed: list[Reading] = []
     broken: list[Reading] = []
     reached = FRAME  # how far the frame dropped last is known; its end where no further stretch is of it
     for number, stretch in enumerate(stretches):
         expected = scans.late if stretch.counted_at is None else stretch.counted_at
-        at = _position(stretch.readings, expected)
+        position = _position(stretch.readings, expected)
         if number == 0:
-            scans.late = at
-        elif at != expected:
-            what = (
-                f"the scan continues with reading {at} of {FRAME} here, as the driven pairs show, not with {expected}"
+            scans.late = position
+        elif position != expected:
+            problem = (
+                f"the scan continues with reading {position} of {FRAME} here, as the driven pairs show, not with"
+                f" {expected}"
             )
-            scans.moved.append(RowProblem(stretch.readings[0].line, what, False))
-        head = stretch.readings[: -at % FRAME]
-        if number and (piece := left + head):
-            if not left and at >= reached:  # several gaps in one frame
+            scans.moved.append(RowProblem(stretch.readings[0].line, problem, False))
+        head = stretch.readings[: -position % FRAME]
+        if number and (piece := unframed + head):
+            if not unframed and position >= reached:  # several gaps in one frame
                 scans.dropped.pop()
             else:
                 broken = []
             broken += piece
             why = "lines are missing or too many in it" if stretch.counted_at is not None else "headers stand in it"
             scans.dropped.append(_frame_problem(broken, broken[-1].line, why))
-        inside = number and 0 < at + len(head) < FRAME and len(head) == len(stretch.readings)
-        reached = at + len(head) if inside else FRAME
-        left = _cut(stretch.readings[len(head) :], scans)
+        inside = number and 0 < position + len(head) < FRAME and len(head) == len(stretch.readings)
+        reached = position + len(head) if inside else FRAME
+        unframed = _cut(stretch.readings[len(head) :], scans)
     for before, after in pairwise(scans.frames):
         if (back_s := before[-1].time_s - after[0].time_s) > 0:
-            what = f"time steps back by {back_s:.6g} s from the frame before"
-            scans.moved.append(RowProblem(after[0].line, what, False))
+            problem = f"time steps back by {back_s:.6g} s from the frame before"
+            scans.moved.append(RowProblem(after[0].line, problem, False))
     return scans
 
 
@@ -113,7 +114,7 @@ def _position(readings: list[Reading], expected: int) -> int:
         return expected
     values = [0.0 if reading.bad else abs(reading.voltage) for reading in readings[: count * FRAME]]
     level: Array = np.median(np.reshape(values, (count, FRAME)), axis=0)
-    explained = np.array([level[(_DRIVEN - at) % FRAME].sum() for at in range(FRAME)])
+    explained = np.array([level[(_DRIVEN - position) % FRAME].sum() for position in range(FRAME)])
     best = int(explained.argmax())
     stands_out = explained[best] > _STAND_OUT * len(_DRIVEN) * float(np.median(level))
     half_a_pair = explained[best] / len(_DRIVEN) / 2
@@ -180,11 +181,11 @@ def _inventory(problems: list[RowProblem], readings: int) -> str:
 
 
 def _order_note(late: int) -> str:
-    said = f"declared order: {_DECLARED_ORDER}; frames are stored with row = drive pair, column = measure pair"
+    note = f"declared order: {_DECLARED_ORDER}; frames are stored with row = drive pair, column = measure pair"
     if not late:
-        return said
+        return note
     count = "1 reading" if late == 1 else f"{late} readings"
-    return f"{said}; the recording starts {count} late and was shifted back"
+    return f"{note}; the recording starts {count} late and was shifted back"
 
 
 def _canonical(values: Array) -> Array:
@@ -221,9 +222,9 @@ def _samples(frames: Frames, times: Array) -> tuple[tuple[SampleBlock, ...], lis
         good = np.isfinite(column)
         if not good.any() or (name == "force" and not column[good].any()):
             continue
-        kept = column[good]
-        if name == "force" and -kept.min() > kept.max():
-            kept = -kept
+        channel_values = column[good]
+        if name == "force" and -channel_values.min() > channel_values.max():
+            channel_values = -channel_values
             notes.append("the force column is negative in compression; it is turned so that compression is positive")
-        blocks.append(SampleBlock(name, unit, flat_s[good], kept))
+        blocks.append(SampleBlock(name, unit, flat_s[good], channel_values))
     return tuple(blocks), notes

@@ -96,8 +96,8 @@ def read_stretches(path: Path) -> tuple[list[Stretch], list[RowProblem], tuple[s
             problems.append(RowProblem(number, reading.bad, True))
         sessions[-1].append(reading)
         if bad == lab_files.MOST_BAD_IN_A_ROW:
-            what = f"{bad} lines in a row are no readings; the rest of the file was not read"
-            problems.append(RowProblem(number, what, False))
+            problem = f"{bad} lines in a row are no readings; the rest of the file was not read"
+            problems.append(RowProblem(number, problem, False))
             break
     stretches = [stretch for session in sessions if session for stretch in _stretches(session, problems)]
     if not stretches:
@@ -112,8 +112,8 @@ def _check_titles(path: Path, fields: list[str]) -> None:
     titles = [field for field in fields if field]
     if not titles[0].startswith("time_pc") or len(titles) >= COLUMNS:
         return
-    there = {title.split()[0] for title in titles}
-    missing = [title for title in TITLES if title.split()[0] not in there]
+    known_titles = {title.split()[0] for title in titles}
+    missing = [title for title in TITLES if title.split()[0] not in known_titles]
     raise RecordingError(
         f"{path.name} has {len(titles)} columns where this format has {COLUMNS}; missing: {', '.join(missing)}",
         remedy="record force and position too; a column that was not measured may hold nan",
@@ -147,9 +147,9 @@ def _bad(number: int, why: str) -> Reading:
 def _stretches(session: list[Reading], problems: list[RowProblem]) -> list[Stretch]:
     """Cut a session where two current readings are not a multiple of 16 lines apart; copies of lines go first."""
     session = _drop_copies(session, problems)
-    at = [k for k, reading in enumerate(session) if reading.current_A is not None]
-    gaps = [(before, after) for before, after in pairwise(at) if (after - before) % CURRENT_EVERY]
-    if len(gaps) > len(at) / 2:  # the current is not read in this rhythm here
+    current_lines = [k for k, reading in enumerate(session) if reading.current_A is not None]
+    gaps = [(before, after) for before, after in pairwise(current_lines) if (after - before) % CURRENT_EVERY]
+    if len(gaps) > len(current_lines) / 2:  # the current is not read in this rhythm here
         gaps = []
     out: list[Stretch] = []
     start, counted_at = 0, None
@@ -165,14 +165,14 @@ def _stretches(session: list[Reading], problems: list[RowProblem]) -> list[Stret
 
 
 def _drop_copies(session: list[Reading], problems: list[RowProblem]) -> list[Reading]:
-    at = [k for k, reading in enumerate(session) if reading.current_A is not None]
+    current_lines = [k for k, reading in enumerate(session) if reading.current_A is not None]
     dropped: set[int] = set()
-    for before, after in pairwise(at):
+    for before, after in pairwise(current_lines):
         copies = {k for k in range(before + 1, after + 1) if session[k].copy}
         if (after - before) % CURRENT_EVERY and (after - before - len(copies)) % CURRENT_EVERY == 0:
             dropped |= copies
-    said = "the line is written twice; the copy is left out"
-    problems += [RowProblem(session[k].line, said, True) for k in sorted(dropped)]
+    problem = "the line is written twice; the copy is left out"
+    problems += [RowProblem(session[k].line, problem, True) for k in sorted(dropped)]
     return [reading for k, reading in enumerate(session) if k not in dropped]
 
 
@@ -223,9 +223,9 @@ def _frame_lines(
         zip((scan_s - zero_s).tolist(), volts, at_limit.tolist(), zip(*columns, strict=True), strict=True)
     ):
         if not gone[k]:
-            said = f"{volt!r} MAX VOLTAGE ERROR" if limit else repr(volt)
+            voltage_text = f"{volt!r} MAX VOLTAGE ERROR" if limit else repr(volt)
             source = current if k % CURRENT_EVERY == read_at else "nan"
-            out.append(f"{time_s:.6f},{said},{source},{','.join(others)}\n")
+            out.append(f"{time_s:.6f},{voltage_text},{source},{','.join(others)}\n")
     return out
 
 
@@ -247,13 +247,13 @@ def _refuse_numbers(recording: Recording, transcript: Transcript) -> None:
 
 def _list_omissions(recording: Recording, transcript: Transcript) -> list[str]:
     carried = [name for name, unit in CHANNELS if lab_files.channel(recording, name, unit) is not None]
-    said = lab_files.list_omissions(recording, transcript, carried, ReadingFlag.SATURATED)
+    omissions = lab_files.list_omissions(recording, transcript, carried, ReadingFlag.SATURATED)
     if transcript.dumps:
-        said.append(
+        omissions.append(
             f"{len(transcript.dumps)} watchdog dumps are not written: this rig's multiplexer sends none;"
             " the times of readings, if recorded, contain their pauses"
         )
     absent = [name for name, _ in CHANNELS if name not in carried]
     if absent:
-        said.append(f"columns of nan, since nothing recorded them: {', '.join(absent)}")
-    return said
+        omissions.append(f"columns of nan, since nothing recorded them: {', '.join(absent)}")
+    return omissions

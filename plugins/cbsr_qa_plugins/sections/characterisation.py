@@ -143,13 +143,13 @@ def _cycles(record: RunRecord) -> list[Figure]:
 
 def _traces(phase: PhaseRecord, frames: FrameBlock, area_mm2: float, start_s: float, end_s: float) -> list[Trace]:
     """Resistance, and stress if the force was recorded, against the time since the first press."""
-    read, zero_s = frames.select_interval(start_s, end_s), start_s + _BEFORE_S
-    ohm = read.voltages[:, 0, 0] / (read.current_A or 1.0)
-    traces = [Trace("resistance", "kΩ", np.array(read.time_s) - zero_s, 1e-3 * ohm)]
+    frames_shown, zero_s = frames.select_interval(start_s, end_s), start_s + _BEFORE_S
+    ohm = frames_shown.voltages[:, 0, 0] / (frames_shown.current_A or 1.0)
+    traces = [Trace("resistance", "kΩ", np.array(frames_shown.time_s) - zero_s, 1e-3 * ohm)]
     force = phase.channel("force")
     if force is not None:
-        taken = force.select_interval(start_s, end_s)
-        traces.append(Trace("stress", "kPa", taken.time_s - zero_s, 1e3 * taken.values / area_mm2))
+        samples = force.select_interval(start_s, end_s)
+        traces.append(Trace("stress", "kPa", samples.time_s - zero_s, 1e3 * samples.values / area_mm2))
     return traces
 
 
@@ -172,18 +172,19 @@ def _settlings(material: Characterisation) -> Table:
 
 
 def _time(material: Characterisation, signal: str, loading: bool, strain: float | None) -> str:
-    wanted = (signal, loading, strain)
-    found = next((o for o in material.settlings if (o.signal, o.loading, o.strain) == wanted), None)
-    if found is None or found.settling.value_s is None:
+    key = (signal, loading, strain)
+    settling = next((o for o in material.settlings if (o.signal, o.loading, o.strain) == key), None)
+    if settling is None or settling.settling.value_s is None:
         return "–"
-    return f"{'≥ ' if found.settling.censored else ''}{with_uncertainty(found.settling.value_s, found.stderr_s)}"
+    text = with_uncertainty(settling.settling.value_s, settling.stderr_s)
+    return f"≥ {text}" if settling.settling.censored else text
 
 
 def _describe_settling(settlings: Sequence[StrainSettling]) -> str:
     settled = [
-        f"{each.words} {'at least ' if each.settling.censored else ''}{each.settling.value_s:.3g} s"
-        for each in settlings
-        if each.strain is None and each.settling.value_s is not None
+        f"{settling.words} {'at least ' if settling.settling.censored else ''}{settling.settling.value_s:.3g} s"
+        for settling in settlings
+        if settling.strain is None and settling.settling.value_s is not None
     ]
     return f"All strains together: {'; '.join(settled)}." if settled else "No settling time could be determined."
 

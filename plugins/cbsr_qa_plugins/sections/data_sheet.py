@@ -199,9 +199,9 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> It
     except NumericsError:
         return
     try:
-        read = [loop_curve(loop, relaxed=False, last_s=last_s) for loop in run.loops]
+        curves_as_read = [loop_curve(loop, relaxed=False, last_s=last_s) for loop in run.loops]
     except NumericsError:
-        read = []
+        curves_as_read = []
     if curves:
         error = "" if hysteresis.uncertainty is None else f" ± {number(hysteresis.uncertainty, 2)}"
         yield Figure(
@@ -210,14 +210,14 @@ def _loops(run: RunObservation, whole: dict[tuple[str, str], Measurement]) -> It
             " stress, with one standard error; grey crosses: as read at the end of each hold, creep included.",
             f"Loops at {plural(len(curves), 'location')}; the branches differ by at most"
             f" {number(hysteresis.value, 2)}{error} % of the span.",
-            loop_figure(curves, read),
+            loop_figure(curves, curves_as_read),
         )
 
 
 def _maps(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Figure]:
-    maps = [shown for shown in (_response_map(run), _modulus_map(run, measurements)) if shown is not None]
+    maps = [place_map for place_map in (_response_map(run), _modulus_map(run, measurements)) if place_map is not None]
     if maps:
-        ranges = [(shown, [place.value for place in shown.places]) for shown in maps]
+        ranges = [(place_map, [place.value for place in place_map.places]) for place_map in maps]
         words = "; ".join(f"{s.title} {number(min(v))} to {number(max(v))} {s.unit}" for s, v in ranges)
         yield Figure(
             "By location. Response: ρ₀ relative to that of an even sheet imaged in the same way, as deviation from"
@@ -235,15 +235,15 @@ def _response_map(run: RunObservation) -> PlaceMap | None:
     mean = sum(place.response for place in places) / len(places)
     if not mean > 0:
         return None
-    shown = tuple(PlaceValue(p.location, p.x_mm, p.y_mm, 100 * (p.response / mean - 1)) for p in places)
-    return PlaceMap(f"response at {100 * strain:g} % strain", "% off the mean", shown, about=0.0)
+    deviations = tuple(PlaceValue(p.location, p.x_mm, p.y_mm, 100 * (p.response / mean - 1)) for p in places)
+    return PlaceMap(f"response at {100 * strain:g} % strain", "% off the mean", deviations, about=0.0)
 
 
 def _modulus_map(run: RunObservation, measurements: Sequence[Measurement]) -> PlaceMap | None:
-    at = {load.record.load.label: load.record.load for load in data_sheet_loads(run)}
-    shown = tuple(
-        PlaceValue(m.location, at[m.location].x_mm, at[m.location].y_mm, m.value)
+    load_by_label = {load.record.load.label: load.record.load for load in data_sheet_loads(run)}
+    moduli = tuple(
+        PlaceValue(m.location, load_by_label[m.location].x_mm, load_by_label[m.location].y_mm, m.value)
         for m in measurements
-        if m.name == "apparent_modulus" and m.location in at and not m.qualifier and m.value is not None
+        if m.name == "apparent_modulus" and m.location in load_by_label and not m.qualifier and m.value is not None
     )
-    return PlaceMap("apparent modulus", "kPa", shown) if shown else None
+    return PlaceMap("apparent modulus", "kPa", moduli) if moduli else None

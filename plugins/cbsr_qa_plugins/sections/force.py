@@ -246,8 +246,8 @@ def _ratios(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figu
     mapped = np.exp(interpolate(learned.model, learned.model.log_response, places_mm(loads)))
     ratio, scatter = learned.ratio[used], learned.ratio_stderr[used] / mapped
     forces = np.linspace(0.97 * newtons.min(), 1.03 * newtons.max(), 40)
-    stress, given = 1e3 * forces / run.record.indenter.area_mm2, run.record.material.against_stress
-    nominal = given.slope.value * stress + given.intercept.value
+    stress, material = 1e3 * forces / run.record.indenter.area_mm2, run.record.material.against_stress
+    nominal = material.slope.value * stress + material.intercept.value
     alpha, beta = learned.line.slope, learned.line.intercept
     line = (alpha.value * stress + beta.value) / nominal
     variance = ((alpha.stderr or 0.0) * stress) ** 2 + (beta.stderr or 0.0) ** 2
@@ -317,8 +317,8 @@ def _refusal_blocks(force: RunForce, learned: LearnedForce) -> list[Block]:
     for load, why in zip(force.used, learned.refused, strict=True):
         if why:
             place = load.record.load
-            at, newtons = place_text(place.x_mm, place.y_mm), number(load.force_N or 0.0, 2)
-            rows.append([load.phase, place.label, at, f"{100 * place.strain:.3g}", newtons, why])
+            place_words, newtons = place_text(place.x_mm, place.y_mm), number(load.force_N or 0.0, 2)
+            rows.append([load.phase, place.label, place_words, f"{100 * place.strain:.3g}", newtons, why])
     if not rows:
         return []
     columns = ("Phase", "Load", "x, y [mm]", "Strain [%]", "Force [N]", "Why")

@@ -191,8 +191,8 @@ def _describe_choice(made: LinearReconstruction) -> str:
     discrete = curve is not None and curve.discrete
     value = f"{made.method} images with {choice.name} = {value_text(choice.value, discrete=discrete)}"
     if curve is None:
-        kept = "" if choice.criterion == "given" else " The method keeps no curve of its search."
-        return f"{value}: {choice.how}.{kept} {figure}"
+        note = "" if choice.criterion == "given" else " The method keeps no curve of its search."
+        return f"{value}: {choice.how}.{note} {figure}"
     return f"{value}, chosen by {choice.how}.{_own_figure(made, curve)}"
 
 

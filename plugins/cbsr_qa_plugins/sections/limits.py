@@ -153,8 +153,8 @@ def _group_measurements(measurements: Sequence[Measurement]) -> dict[str, list[M
     groups: dict[str, list[Measurement]] = {}
     for m in measurements:
         words = metric_words(m.name)
-        each = 1 < len(qualifiers[m.name]) <= _MOST_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
-        title = f"{words} ({m.qualifier})" if m.qualifier and each else words
+        separate = 1 < len(qualifiers[m.name]) <= _MOST_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
+        title = f"{words} ({m.qualifier})" if m.qualifier and separate else words
         groups.setdefault(unit_column(title, m.unit), []).append(m)
     return groups
 

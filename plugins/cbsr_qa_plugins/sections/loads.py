@@ -79,11 +79,11 @@ def _choose_estimate(estimate: EstimatedLoad) -> LoadEstimate | None:
 def _place_load(load: LoadObservation, estimate: EstimatedLoad, run: RunObservation) -> PlacedLoad:
     view, chosen = load.mask(run.main_mask), _choose_estimate(estimate)
     region = None if view is None else view.region
-    wanted = load.record.load
+    nominal = load.record.load
     place = None if chosen is None or chosen.place_mm is None else np.array(chosen.place_mm)
     return PlacedLoad(
-        wanted.label,
-        load.indenter.footprint_at(wanted.x_mm, wanted.y_mm),
+        nominal.label,
+        load.indenter.footprint_at(nominal.x_mm, nominal.y_mm),
         None if region is None else np.asarray(region.centre_mm()),
         place,
         None if chosen is None else chosen.place_covariance_mm2,
@@ -169,14 +169,14 @@ class LoadImages(ObservedSection):
             return
         # First trials come first if there are too many: they cover every place and strain.
         chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MOST]
-        printed = [load for load in run.loads if any(load is kept for kept in chosen)]
+        printed = [load for load in run.loads if any(load is chosen_load for chosen_load in chosen)]
         seen = join_loads(printed, run, Measured(result.measurements))
         lost = sum(load.error_mm is None for load in seen)
         conducts = "more" if run.response.value == "increase" else "less"
         words = f"Pressed places conduct {conducts} ({run.response_how})."
-        left = len(run.loads) - len(printed)
-        if left:
-            words += f" {plural(left, 'press is', 'presses are')} not printed here; every frame is in the store."
+        omitted = len(run.loads) - len(printed)
+        if omitted:
+            words += f" {plural(omitted, 'press is', 'presses are')} not printed here; every frame is in the store."
         yield Paragraph(words)
         yield Figure(
             "Steady image of each press, as reconstructed (no noise floor subtracted), all on one scale. Orange: the"

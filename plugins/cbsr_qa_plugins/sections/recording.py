@@ -40,7 +40,7 @@ def _facts(result: RecordingResult) -> Table:
     channels, noise = result.channels, result.noise
     unit = "counts" if noise.unit == "count" else noise.unit
     quiet_s = noise.quiet_s or (0.0, 0.0)
-    done = "taken out" if channels.memory_corrected else "not taken out"
+    memory = "taken out" if channels.memory_corrected else "not taken out"
     facts = (
         ("Readings imaged", str(channels.used)),
         ("Saturated", plural(len(channels.saturated), "channel") if channels.saturated else "none"),
@@ -48,7 +48,7 @@ def _facts(result: RecordingResult) -> Table:
         ("Electrodes with a suspect contact", ", ".join(map(str, channels.suspect_electrodes))),
         ("Level over noise, median", _format_value(channels.snr_db, 1, " dB")),
         ("Reciprocity error, as recorded", _format_value(channels.reciprocity_error, 3)),
-        ("Share of the previous reading in each", _format_value(channels.reading_memory, 1, f" %, {done}", 100)),
+        ("Share of the previous reading in each", _format_value(channels.reading_memory, 1, f" %, {memory}", 100)),
         ("Reciprocity error without that share", _format_value(channels.reciprocity_error_corrected, 3)),
         (
             f"Noise of one reading ({format_fixed(quiet_s[0], 1)} to {format_fixed(quiet_s[1], 1)} s)",
@@ -135,8 +135,8 @@ def _name(rank: int) -> str:
     return f"E{rank + 1}"
 
 
-def _direction(at: LoadEvent | ImagedPlace) -> str:
-    return "centre" if at.central else format_fixed(at.electrode, 2)
+def _direction(event: LoadEvent | ImagedPlace) -> str:
+    return "centre" if event.central else format_fixed(event.electrode, 2)
 
 
 def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
@@ -159,15 +159,16 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         "Force [N]": [_format_value(event.force_N, 2) for event in events],
         "Overlapping": [event.fate for event in events],
     }
-    shown = {title: [cell or "–" for cell in cells] for title, cells in columns.items() if any(cells)}
-    numeric = tuple(k for k, title in enumerate(shown) if title not in ("Event", "Conductance", "Overlapping"))
+    shown_columns = {title: [cell or "–" for cell in cells] for title, cells in columns.items() if any(cells)}
+    texts = ("Event", "Conductance", "Overlapping")
+    numeric = tuple(k for k, title in enumerate(shown_columns) if title not in texts)
     caption = (
         "Events found in the readings. Electrode: direction as a fractional electrode number. SNR:"
         " change over the noise of such changes in this recording. Explained: share of the change that loads on the"
         " modelled sheet explain, beside noise; ! where what they leave is more than noise and the model's errors."
         + (" Overlapping: whether the image shows an event during others as a separate region." if beside else "")
     )
-    return text_table(caption, tuple(shown), list(zip(*shown.values(), strict=True)), numeric)
+    return text_table(caption, tuple(shown_columns), list(zip(*shown_columns.values(), strict=True)), numeric)
 
 
 def _imaging(result: RecordingResult) -> Table:
@@ -186,11 +187,11 @@ def _imaging(result: RecordingResult) -> Table:
 def _image_table(events: Sequence[LoadEvent]) -> Table:
     rows = []
     for rank, event in enumerate(events):
-        shown = ["–"] * 4
+        row_cells = ["–"] * 4
         if (seen := event.imaged) is not None:
             area, largest = format_fixed(100 * seen.area_share, 1), format_fixed(100 * seen.largest, 2)
-            shown = [_direction(seen), format_fixed(seen.r_over_R, 2), largest, area]
-        rows.append([_name(rank), *shown])
+            row_cells = [_direction(seen), format_fixed(seen.r_over_R, 2), largest, area]
+        rows.append([_name(rank), *row_cells])
     columns = ("Event", "Electrode", "r/R", "Largest change [%]", "Area above half of it [% of the sheet]")
     caption = (
         "Where the images show the events: centre of mass of the region that belongs to the place of the best fit. A"
@@ -206,25 +207,25 @@ def _image_table(events: Sequence[LoadEvent]) -> Table:
 
 def _images(result: RecordingResult) -> Figure:
     events, named = result.events, result.sensor_type
-    shown = events[:_MOST_IMAGES]
+    shown_events = events[:_MOST_IMAGES]
     sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
     # Images of an unnamed sensor may be in any unit.
-    sheet = Disc(sheet_radius(shown[0].image.mesh)) if named is None else named.outline
+    sheet = Disc(sheet_radius(shown_events[0].image.mesh)) if named is None else named.outline
     panels = []
-    for rank, event in enumerate(shown):
+    for rank, event in enumerate(shown_events):
         place = Marker(event.x_over_R * sheet.radius_mm, event.y_over_R * sheet.radius_mm)
         moves = event.motion is not None
-        track = np.array([at[1:] for at in event.track]) * sheet.radius_mm if moves else None
+        track = np.array([point[1:] for point in event.track]) * sheet.radius_mm if moves else None
         note = f"{'clearest at ' if moves else ''}{event.place}"
         panels.append(ImagePanel(_name(rank), event.image, (place,), note, track))
-    left = "" if len(shown) == len(events) else f" The first {len(shown)} of {len(events)}."
+    omitted = "" if len(shown_events) == len(events) else f" The first {len(shown_events)} of {len(events)}."
     moved = (
         " Line: the way of what moves, from the ring to the dot." if any(p.track is not None for p in panels) else ""
     )
     scale = " Each image has its own colour scale, below it." if len(panels) > 1 else ""
     return Figure(
         "Change each event made against the frames just before it (or against the reference). Marked: the place of"
-        f" the best fit of a small load, which the blur of the image does not move.{moved}{scale}{left}",
+        f" the best fit of a small load, which the blur of the image does not move.{moved}{scale}{omitted}",
         "; ".join(f"{panel.title}: {panel.note}" for panel in panels),
         image_figure(panels, sheet=sheet, electrodes=sensor.electrodes, shared_scale=False),
     )
@@ -240,10 +241,10 @@ def _timeline(result: RecordingResult) -> Figure | None:
     traces = [Trace("change", block.unit.value, block.time_s, changed)]
     traces += [Trace("force", s.unit, s.time_s, s.values) for s in recording.samples if s.channel == "force"]
     spans = [Span(e.start_s, e.end_s, _name(rank), e.peak_s) for rank, e in enumerate(result.events)]
-    what = "one row per frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
+    rows = "one row per frame" if recording.scan is ScanKind.DRIVEN_PAIRS else "all readings"
     count = plural(len(spans), "event") if spans else "no event"
     return Figure(
-        f"Rms change of {what} since the first frames, and force where it was recorded. Shaded: {count}.",
+        f"Rms change of {rows} since the first frames, and force where it was recorded. Shaded: {count}.",
         f"Traces over {block.time_s[-1] - block.time_s[0]:.0f} s with {count}.",
         timeline_figure(traces, spans),
     )
@@ -261,11 +262,11 @@ class RecordingRows(RecordingSection):
         """Return notes, and the rows that were rejected or noted."""
         recording = result.recording
         yield from (Paragraph(f"{capital(note)}.", "note") for note in recording.notes)
-        shown = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
-        if shown:
-            left = len(recording.problems) - len(shown)
+        shown_problems = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
+        if shown_problems:
+            omitted = len(recording.problems) - len(shown_problems)
             cost = f", {plural(recording.frames_dropped, 'frame')} dropped" if recording.frames_dropped else ""
             caption = f"{plural(recording.rows_rejected, 'row')} rejected{cost}; the rest is noted."
-            caption += f" {left} more are not shown." if left else ""
-            rows = [[str(p.line), "rejected" if p.rejected else "noted", p.what] for p in shown]
+            caption += f" {omitted} more are not shown." if omitted else ""
+            rows = [[str(p.line), "rejected" if p.rejected else "noted", p.what] for p in shown_problems]
             yield text_table(caption, ("Line", "Result", "Why"), rows, (0,))

@@ -37,15 +37,15 @@ class RelaxationFits(ObservedSection):
             return
         signals = list(dict.fromkeys(r.signal for load in loads for r in load.relaxations))
         # Highlighted: the load held for this purpose, else the one with the best fits.
-        shown = max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
+        highlighted = max(loads, key=lambda load: sum(r.fit.r_squared for r in load.relaxations))
         if held_for_this := select_relaxed(loads_of(run, Role.RELAXATION)):
             place = (held_for_this[0].label, held_for_this[0].group)
-            shown = next((load for load in loads if (load.label, load.group) == place), shown)
-        rows = [_fit_row(relaxation) for relaxation in shown.relaxations]
+            highlighted = next((load for load in loads if (load.label, load.group) == place), highlighted)
+        rows = [_fit_row(relaxation) for relaxation in highlighted.relaxations]
         columns = ("Signal", "After", "Form", "a₀", "τ₁ [s]", "τ₂ [s]", "R²", "Settled [s]")
-        caption = f"Fits of {shown.label} ({shown.group}), G(t) = a₀ + a₁ exp(−t/τ₁) + a₂ exp(−t/τ₂)."
+        caption = f"Fits of {highlighted.label} ({highlighted.group}), G(t) = a₀ + a₁ exp(−t/τ₁) + a₂ exp(−t/τ₂)."
         fits = text_table(caption, columns, rows, (3, 4, 5, 6, 7))
-        yield from (_traces(loads, shown, signals), fits)
+        yield from (_traces(loads, highlighted, signals), fits)
         yield from _together(result.measurements)
         yield from (_times(loads, signals), _strain_table(loads, signals))
         yield from _agreements(run, result.measurements)
@@ -54,12 +54,12 @@ class RelaxationFits(ObservedSection):
             yield Paragraph(_rejections(rejected, run.settings.r_squared_gate), "note")
 
 
-def _traces(loads: Sequence[SettledLoad], shown: SettledLoad, signals: Sequence[str]) -> Figure:
+def _traces(loads: Sequence[SettledLoad], highlighted: SettledLoad, signals: Sequence[str]) -> Figure:
     return Figure(
-        f"Relaxation of {shown.label} ({shown.group}): readings (dots), fit of one or two exponentials (line),"
-        " settling band (shaded) and settling time (dashed). Grey: all other presses.",
+        f"Relaxation of {highlighted.label} ({highlighted.group}): readings (dots), fit of one or two exponentials"
+        " (line), settling band (shaded) and settling time (dashed). Grey: all other presses.",
         f"Traces and fits of {', '.join(signals)} after the press and after the release.",
-        relaxation_figure(loads, shown, signals),
+        relaxation_figure(loads, highlighted, signals),
     )
 
 
@@ -90,10 +90,10 @@ def _together(measurements: Sequence[Measurement]) -> list[Block]:
 
 def _agreements(run: RunObservation, measurements: Sequence[Measurement]) -> Iterator[Block]:
     """Agreement of relaxations requested by this run's metrics: whole image and blobs, sheet and strip."""
-    wanted = {m.name for m in measurements}
-    if "relaxation_shape_difference" in wanted:
+    measured = {m.name for m in measurements}
+    if "relaxation_shape_difference" in measured:
         yield from _agreement(image_against_blobs(run), "The whole image against the blobs")
-    if "strip_relaxation_difference" in wanted:
+    if "strip_relaxation_difference" in measured:
         yield from _agreement(sheet_against_strip(run), "The sheet against a strip of its material (2D against 1D)")
 
 

@@ -144,8 +144,8 @@ def _changes(history: ChangeHistory) -> Block:
     rows = []
     for change in history.changes:
         content = f"{change.old_digest[:12]} → {change.new_digest[:12]}"
-        who = (change.by or "not stated", change.why, change.run)
-        rows.append([_minute(change.at), f"{change.kind} {change.name}", change.words(12), content, *who])
+        by = (change.by or "not stated", change.why, change.run)
+        rows.append([_minute(change.at), f"{change.kind} {change.name}", change.words(12), content, *by])
     columns = ("When", "File", "What changed", "Content (SHA-256)", "By", "Why", "First run with it")
     return text_table(f"Changes of recipe, limits, station, sensor type and material {since}.", columns, rows)
 
@@ -200,8 +200,8 @@ def _format_start(session: RunSession) -> str:
     return "not noted" if session.noted_at is None else _minute(session.noted_at)
 
 
-def _minute(at: datetime) -> str:
-    return f"{at:%Y-%m-%d %H:%M} UTC"
+def _minute(moment: datetime) -> str:
+    return f"{moment:%Y-%m-%d %H:%M} UTC"
 
 
 def _versions(session: RunSession) -> str:

@@ -65,20 +65,20 @@ class JsonLines(WithOptions):
                 if not stat.S_ISREG(os.fstat(file).st_mode):
                     raise OSError("it is not a regular file")
                 fcntl.flock(file, fcntl.LOCK_EX)
-                there = os.fstat(file)
-                if _is_still(path, there):  # otherwise another run has renamed it meanwhile
-                    if not there.st_size or there.st_size + size <= self.options.largest_MB * 1e6:
+                status = os.fstat(file)
+                if _is_still(path, status):  # otherwise another run has renamed it meanwhile
+                    if not status.st_size or status.st_size + size <= self.options.largest_MB * 1e6:
                         return os.dup(file)
                     self._rotate(path)
             finally:
                 os.close(file)
 
     def _rotate(self, path: Path) -> None:
-        kept = [path.with_name(f"{path.name}.{number}") for number in range(1, self.options.kept + 1)]
-        for older, newer in zip(reversed(kept), reversed([path, *kept[:-1]]), strict=True):
+        old_files = [path.with_name(f"{path.name}.{number}") for number in range(1, self.options.kept + 1)]
+        for older, newer in zip(reversed(old_files), reversed([path, *old_files[:-1]]), strict=True):
             with suppress(FileNotFoundError):
                 newer.replace(older)
-        if not kept:
+        if not old_files:
             path.unlink()
 
 

@@ -129,9 +129,9 @@ class Mqtt(WithOptions):
             )
             for message in messages
         ]
-        for each in sent:
-            each.wait_for_publish(max(deadline - time.monotonic(), 0.001))
-            if not each.is_published():
+        for publication in sent:
+            publication.wait_for_publish(max(deadline - time.monotonic(), 0.001))
+            if not publication.is_published():
                 raise DeliveryError(f"{self._broker} has not confirmed within {self.options.timeout_s:g} s")
 
     def _connect(self) -> None:
