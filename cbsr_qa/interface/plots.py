@@ -12,7 +12,7 @@ if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
 #: More presses than this are not named.
-_MOST_NAMED = 24
+_MAX_NAMED = 24
 
 
 def own_axes() -> "Axes":
@@ -30,7 +30,7 @@ def plot_run(record: RunRecord, axes: "Axes | None") -> "Axes":
         raise RefusedError(f"run {record.identity.run} holds no force", remedy="plot its frames: run.frames()")
     traces = [Trace("force", f.unit, f.time_s / 60, f.values) for f in forces]
     loads = [load for phase in record.phases for load in (*phase.loads, *phase.loops)]
-    named = len(loads) <= _MOST_NAMED
+    named = len(loads) <= _MAX_NAMED
     spans = [
         Span(load.hold_start_s / 60, load.release_start_s / 60, load.load.label if named else "") for load in loads
     ]

@@ -213,18 +213,19 @@ def _table_words(table: type[BaseModel]) -> str:
 
 
 def _bounds(rules: Sequence[Any]) -> str:
-    least, above, most, below = (_plain(_find_bound(rules, name)) for name in ("ge", "gt", "le", "lt"))
+    texts: list[str] = []
+    for name in ("ge", "gt", "le", "lt"):
+        bound = _find_bound(rules, name)
+        if bound is None:
+            texts.append("")
+        else:
+            texts.append(str(int(bound)) if abs(bound) < 1e9 and bound == int(bound) else f"{bound:g}")
+    least, above, most, below = texts
     if least and most:
         return f" from {least} to {most}"
     low = f" of at least {least}" if least else f" above {above}" if above else ""
     high = f"at most {most}" if most else f"below {below}" if below else ""
     return low + (f" and {high}" if low else f" {high}" if below else f" of {high}") * bool(high)
-
-
-def _plain(bound: float | None) -> str:
-    if bound is None:
-        return ""
-    return str(int(bound)) if abs(bound) < 1e9 and bound == int(bound) else f"{bound:g}"
 
 
 def _find_bound(rules: Sequence[Any], name: str) -> Any:

@@ -32,7 +32,7 @@ ROOT_VARIABLE: Final = "CBSR_QA_ARCHIVE"
 _NAME_ROOT: Final = f"set {ROOT_VARIABLE} to the folder of the archives, as this computer reaches it"
 _UNITS: Final = {"time_s": "s", "flags": "1", "reading_time_s": "s"}
 #: Largest archive that is read: a run of a day at 100 frames a second. All of it is in memory.
-_LARGEST_BYTES: Final = 2**32
+_MAX_ARCHIVE_BYTES: Final = 2**32
 _FORMAT: Final = "cbsr-qa archive"
 _KINDS: Final = {"flags": np.uint8}
 #: Numbers of the HDF5 filters that are allowed: gzip, byte shuffle and checksum.
@@ -117,7 +117,7 @@ def read_checked(connection: Connection, run: str) -> bytes | None:
     except StoreError as error:
         raise StoreError(f"run {run}: its frames are archived; {error.reason}", remedy=error.remedy) from error
     try:
-        with open_foreign(file, _LARGEST_BYTES) as archive:
+        with open_foreign(file, _MAX_ARCHIVE_BYTES) as archive:
             size_bytes = os.fstat(archive.fileno()).st_size
             if size_bytes != row.file_bytes:  # before gigabytes are read
                 reason = f"it has {size_bytes} bytes, {row.file_bytes} were written"
@@ -142,7 +142,7 @@ def _alteration_error(run: str, file: Path, why: str) -> StoreError:
 
 def archive_bytes(file: Path, most_bytes: int) -> bytes:
     """Return the content of an archive. OSError if it is missing, not a file, or too large to be the one expected."""
-    return read_foreign(file, min(most_bytes, _LARGEST_BYTES))
+    return read_foreign(file, min(most_bytes, _MAX_ARCHIVE_BYTES))
 
 
 class Archives:

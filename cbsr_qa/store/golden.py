@@ -21,7 +21,7 @@ from cbsr_qa.store.types import time_of_id
 #: Recipe of a golden sensor's run, in checks that have no seal.
 GOLDEN_RECIPE: Final = "golden-check"
 #: Longest time from the beginning of a golden sensor's run to its check.
-_LONGEST: Final = timedelta(days=1)
+_MAX_CHECK_DURATION: Final = timedelta(days=1)
 
 
 def golden_runs() -> Select[Any]:
@@ -68,7 +68,7 @@ def _unlike_run(row: Row[Any]) -> str:
     beginning = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"
     if row.station != row.tested_at:
         return f"{beginning} it is of station {str(row.station)[:64]!r}, the run of {str(row.tested_at)[:64]!r}"
-    if made_at is not None and begun_at is not None and not begun_at <= made_at <= begun_at + _LONGEST:
+    if made_at is not None and begun_at is not None and not begun_at <= made_at <= begun_at + _MAX_CHECK_DURATION:
         return f"{beginning} was made at {made_at:%Y-%m-%d %H:%M} UTC, the run at {begun_at:%Y-%m-%d %H:%M}"
     if row.seal is None and row.recipe != GOLDEN_RECIPE:
         return f"{beginning} has no seal, and the run is not one of recipe {GOLDEN_RECIPE}"

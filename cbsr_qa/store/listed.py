@@ -30,7 +30,7 @@ from cbsr_qa.store.unreadable_runs import read_apart
 
 _EVERY: Final = RunSelection()
 #: Number of runs from which on the runs of all sensors are read; below it, only those of the sensors concerned.
-_FEW: Final = 1000
+_READ_ALL_FROM: Final = 1000
 #: Allowed words of those columns of measurements that hold a word.
 _WORDS: Final = {"outcome": frozenset(map(str, Outcome)), "bound": frozenset(map(str, Bound))}
 
@@ -239,7 +239,7 @@ def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, in
     # A cell of another type must not stop this: the run is marked where its row is read.
     columns: list[Any] = [type_coerce(column, NullType()) for column in (r.run, r.serial, r.recipe)]
     query = select(*columns, has_finished).order_by(r.run)
-    if len(names) < _FEW:
+    if len(names) < _READ_ALL_FROM:
         query = query.where(r.serial.in_(select(r.serial).where(r.run.in_(names))))
     rows = [tuple(row) for row in connection.execute(query)]
     named_runs = set(connection.scalars(golden_runs()))

@@ -16,7 +16,7 @@ from cbsr_qa.store.tables.runs import Base
 _TABLES: Final = (StationCheckRow, StationCheckLineRow, StationCheckFramesRow)
 _PLAIN: Final = "sha256"
 #: Checks whose rows are in memory at once.
-_AT_ONCE: Final = 500
+_CHECKS_AT_ONCE: Final = 500
 
 #: Tables, and the rows of one check in them as they are stored.
 CheckRows = Iterable[tuple[type[Base], Mapping[str, Any]]]
@@ -49,8 +49,8 @@ def check_seals(connection: Connection, seals: Mapping[str, str | None]) -> dict
     sealed_checks = [check for check, seal in seals.items() if seal is not None]
     digests = {
         check: digest
-        for start in range(0, len(sealed_checks), _AT_ONCE)
-        for check, digest in _digest_checks(connection, sealed_checks[start : start + _AT_ONCE]).items()
+        for start in range(0, len(sealed_checks), _CHECKS_AT_ONCE)
+        for check, digest in _digest_checks(connection, sealed_checks[start : start + _CHECKS_AT_ONCE]).items()
     }
     return {check: _state(connection, check, seal, digests.get(check, "")) for check, seal in seals.items()}
 

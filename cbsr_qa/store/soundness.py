@@ -25,7 +25,7 @@ from cbsr_qa.store.tables.runs import Base, RunRow, SensorRow
 from cbsr_qa.store.tables.sync import OutboxRow
 
 #: Most rows with a missing reference that are named.
-_MOST_NAMED = 10
+_MAX_NAMED = 10
 
 
 class Soundness:
@@ -46,7 +46,7 @@ class Soundness:
             return
         with reading(self._engine) as connection:
             for number, row in enumerate(connection.exec_driver_sql("PRAGMA foreign_key_check")):
-                if number >= _MOST_NAMED:
+                if number >= _MAX_NAMED:
                     yield "more rows refer to rows that are missing"
                     return
                 yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"

@@ -28,7 +28,7 @@ _COUNTER_BITS = 12
 #: Window bits for zlib without header and checksum: the digest of a row covers what is packed.
 _NO_HEADER: Final = -15
 #: Number of cells restored at once: few enough to stay in the processor's cache.
-_AT_ONCE: Final = 128
+_CELLS_AT_ONCE: Final = 128
 #: First millisecond of the year 10000: an identifier can encode later years than a date.
 _YEAR_10000_MS = 253_402_300_800_000
 
@@ -174,8 +174,8 @@ def restore_many(cells: Sequence[bytes], size: int, width: int, *, steps: bool =
         return [restored_by_cell[cell] for cell in cells]
     restored = list(cells)
     places = [place for place, cell in enumerate(cells) if len(cell) != size]
-    for start in range(0, len(places), _AT_ONCE):
-        batch_places = places[start : start + _AT_ONCE]
+    for start in range(0, len(places), _CELLS_AT_ONCE):
+        batch_places = places[start : start + _CELLS_AT_ONCE]
         numbers = _numbers([_inflate(cells[place], size) for place in batch_places], width)
         data = (np.cumsum(numbers, axis=1, dtype=numbers.dtype) if steps else numbers).tobytes()
         for index, place in enumerate(batch_places):

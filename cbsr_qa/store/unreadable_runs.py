@@ -16,7 +16,7 @@ from cbsr_qa.store.types import Instant, time_of_id
 _T = TypeVar("_T")
 _NEVER: Final = datetime.fromtimestamp(0, UTC)
 #: Longest text that stands for a cell of another type.
-_LONGEST: Final = 64
+_MAX_TEXT_LENGTH: Final = 64
 
 
 def read_apart(
@@ -76,4 +76,4 @@ def _value(connection: Connection, column: Any, run: str, cell: Any) -> Any:
             return []
         if isinstance(getattr(column.type, "impl", column.type), Integer):
             return None
-        return str(cell)[:_LONGEST]
+        return str(cell)[:_MAX_TEXT_LENGTH]

@@ -19,11 +19,11 @@ if sys.platform == "win32":  # untested
     import msvcrt
 
     def _lock(file: int) -> None:
-        os.lseek(file, _FAR, os.SEEK_SET)  # beyond the text in it, which others may read
+        os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)  # beyond the text in it, which others may read
         msvcrt.locking(file, msvcrt.LK_NBLCK, 1)
 
     def _unlock(file: int) -> None:
-        os.lseek(file, _FAR, os.SEEK_SET)
+        os.lseek(file, _LOCKED_BYTE, os.SEEK_SET)
         msvcrt.locking(file, msvcrt.LK_UNLCK, 1)
 
 else:
@@ -36,9 +36,9 @@ else:
         fcntl.flock(file, fcntl.LOCK_UN)
 
 
-_FAR: Final = 1 << 20
-_LONGEST: Final = 4096  # longest description of a holder in a file [bytes]
-_TRIES: Final = 1000  # attempts to lock a file that others remove; some file systems never find it
+_LOCKED_BYTE: Final = 1 << 20
+_MAX_HOLDER_BYTES: Final = 4096  # longest description of a holder in a file [bytes]
+_MAX_TRIES: Final = 1000  # attempts to lock a file that others remove; some file systems never find it
 #: Longest time for which a holder may have no name in its file: it is about to write it, or removes the file [s].
 _NAMELESS_S: Final = 0.1
 
@@ -82,7 +82,7 @@ class FileLock:
         self._process = os.getpid()
         self._file: int | None = None
         begun_s = time.monotonic()
-        for _ in range(_TRIES):
+        for _ in range(_MAX_TRIES):
             try:
                 self._file = _open_locked(path, shared=shared)
             except HeldError as error:
@@ -186,7 +186,7 @@ def _open_or_create(path: Path, *, shared: bool) -> int:
 
 def _read_holder(file: int) -> bytes:
     os.lseek(file, 0, os.SEEK_SET)
-    return os.read(file, _LONGEST).strip()
+    return os.read(file, _MAX_HOLDER_BYTES).strip()
 
 
 def _is(file: int, path: Path) -> bool:

@@ -27,8 +27,8 @@ _THREADS: Final = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 _NUMBER: Final = struct.Struct("<i")
 _FORK: Final = b"F"
 _END: Final = b"E"
-_LONGEST: Final = 1 << 16
-_MOST_FILES: Final = 1 << 16
+_MAX_REQUEST_BYTES: Final = 1 << 16
+_MAX_FILES: Final = 1 << 16
 
 _servers: dict[int, "ForkServer"] = {}
 _starting: Final = threading.Lock()
@@ -147,7 +147,7 @@ def begin_fork_server() -> None:
         null_device = os.open(os.devnull, os.O_RDWR)
         for standard in range(3):
             os.dup2(null_device, standard)
-        os.closerange(4, _MOST_FILES)
+        os.closerange(4, _MAX_FILES)
         signal.pthread_sigmask(signal.SIG_SETMASK, ())
         serve_forks(end)
     finally:
@@ -166,7 +166,7 @@ def serve_forks(descriptor: int) -> None:
     children: set[int] = set()
     with socket.socket(fileno=descriptor) as requests:
         while True:
-            message, files, _, _ = socket.recv_fds(requests, _LONGEST, 2)
+            message, files, _, _ = socket.recv_fds(requests, _MAX_REQUEST_BYTES, 2)
             if not message:
                 break
             kind, content = message[:1], message[1:]

@@ -21,7 +21,7 @@ _MEGABYTE: Final = 2**20
 _SECONDS: Final = 8.0
 SECONDS_PER_MB: Final = 10.0
 #: Factor from processor time to time on the clock: others may need the computer at the same time.
-_CLOCK: Final = 6.0
+_CLOCK_FACTOR: Final = 6.0
 #: Memory beyond the program's own [B], and more for each byte of the file, up to half of the computer's.
 _MEMORY: Final = 2**30
 _MEMORY_PER_BYTE: Final = 16
@@ -55,7 +55,7 @@ class Limits:
     @property
     def clock_s(self) -> float:
         """Limit of wall time [s]."""
-        return _CLOCK * self.seconds
+        return _CLOCK_FACTOR * self.seconds
 
     @classmethod
     def from_size(

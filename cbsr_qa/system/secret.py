@@ -8,7 +8,7 @@ from typing import Final
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.system.foreign import read_foreign
 
-_LARGEST_BYTES: Final = 2**16
+_MAX_SECRET_BYTES: Final = 2**16
 
 
 def secret_of(variable: str, *, remedy: str, environment: Mapping[str, str] = os.environ) -> str | None:
@@ -19,7 +19,7 @@ def secret_of(variable: str, *, remedy: str, environment: Mapping[str, str] = os
     value = environment.get(variable)
     if value is not None and value.startswith("@"):
         try:
-            value = read_foreign(Path(value[1:]), _LARGEST_BYTES).decode()
+            value = read_foreign(Path(value[1:]), _MAX_SECRET_BYTES).decode()
         except (OSError, ValueError) as error:
             reason = (error.strerror if isinstance(error, OSError) else None) or "not UTF-8 text"
             raise ConfigError(f"the file that {variable} names cannot be read: {reason}", remedy=remedy) from None

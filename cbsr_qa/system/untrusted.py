@@ -48,8 +48,8 @@ _TOO_MUCH: Final = (
 )
 _PICKLED: Final = "a format's plugin is a class of a module that can be imported, and what it holds can be pickled"
 #: Longest word, and longest message, that is repeated from a file [characters].
-_LONGEST_WORD: Final = 200
-_LONGEST_REASON: Final = 2000
+_MAX_WORD_LENGTH: Final = 200
+_MAX_REASON_LENGTH: Final = 2000
 #: Names that numpy needs to unpickle arrays and numbers.
 _NUMPY: Final = {
     ("numpy", "dtype"),
@@ -128,12 +128,12 @@ def read_untrusted(
 def shorten(reason: str) -> str:
     """Return a message with quotes from the file cut: a name or unit may be a megabyte long."""
     shortened = re.sub(
-        rf"\S{{{_LONGEST_WORD},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason
+        rf"\S{{{_MAX_WORD_LENGTH},}}", lambda found: f"{found[0][:60]}… ({len(found[0])} characters)", reason
     )
     return (
         shortened
-        if len(shortened) <= _LONGEST_REASON
-        else f"{shortened[:_LONGEST_REASON]}… ({len(shortened)} characters)"
+        if len(shortened) <= _MAX_REASON_LENGTH
+        else f"{shortened[:_MAX_REASON_LENGTH]}… ({len(shortened)} characters)"
     )
 
 

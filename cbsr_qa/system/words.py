@@ -10,12 +10,12 @@ from cbsr_qa.domain.errors import CbsrError
 KeyPath = tuple[str | int, ...]
 
 #: Most characters shown of a key or a value.
-_LONGEST: Final = 60
+_MAX_VALUE_LENGTH: Final = 60
 #: Longest message of an error; longer ones are cut [characters].
-_LONGEST_MESSAGE: Final = 500
+_MAX_MESSAGE_LENGTH: Final = 500
 
 
-def echo(text: str, longest: int = _LONGEST) -> str:
+def echo(text: str, longest: int = _MAX_VALUE_LENGTH) -> str:
     """Return text quoted, control characters escaped, cut after ``longest`` characters, with its full length."""
     if len(text) <= longest:
         return repr(text)
@@ -36,7 +36,7 @@ def quote_value(value: object) -> str:
     if isinstance(value, int) and abs(value) > sys.float_info.max:
         return "a whole number beyond 1.8e308"
     text = str(value) if isinstance(value, date | time) else repr(value)
-    return text if len(text) <= _LONGEST else f"{text[:_LONGEST]}…"
+    return text if len(text) <= _MAX_VALUE_LENGTH else f"{text[:_MAX_VALUE_LENGTH]}…"
 
 
 def format_key_path(path: KeyPath) -> str:
@@ -46,7 +46,7 @@ def format_key_path(path: KeyPath) -> str:
         if isinstance(part, int):
             text += f"[{part + 1}]"
         else:
-            key = echo(part) if len(part) > _LONGEST else printable(part)
+            key = echo(part) if len(part) > _MAX_VALUE_LENGTH else printable(part)
             text += f".{key}" if text else key
     return text
 
@@ -60,6 +60,6 @@ def describe_error(error: BaseException) -> str:
     except BaseException:  # noqa: BLE001 - even its message is a plugin's code
         text = type(error).__name__
     plain = "".join(
-        c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_LONGEST_MESSAGE]
+        c if c.isprintable() or c == "\n" else "\N{REPLACEMENT CHARACTER}" for c in text[:_MAX_MESSAGE_LENGTH]
     )
-    return plain + "…" * (len(text) > _LONGEST_MESSAGE)
+    return plain + "…" * (len(text) > _MAX_MESSAGE_LENGTH)

@@ -34,7 +34,7 @@ _RUN: Final = re.compile(r"[0-9a-f-]{36}")
 
 #: Number of pages made at once for those who may only look, and number of their requests that may wait.
 _LOOKER_THREADS: Final = 1
-_MOST_WAITING: Final = 16
+_MAX_WAITING: Final = 16
 
 Endpoint = Callable[[Request], Awaitable[Response]]
 
@@ -176,7 +176,7 @@ class Site:
         """
         if _controls(request):
             return await to_thread.run_sync(make, *arguments)
-        if self._looker_threads.statistics().tasks_waiting >= _MOST_WAITING:
+        if self._looker_threads.statistics().tasks_waiting >= _MAX_WAITING:
             raise HTTPException(HTTPStatus.SERVICE_UNAVAILABLE, text("refused.looks"))
         return await to_thread.run_sync(make, *arguments, limiter=self._looker_threads)
 

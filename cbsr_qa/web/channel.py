@@ -15,7 +15,7 @@ from cbsr_qa.web.state import Control, control_of
 from cbsr_qa.web.texts import text
 
 #: Interval between attempts to connect [s].
-_AGAIN_S: Final = 0.2
+_RETRY_S: Final = 0.2
 #: Longest wait for an answer [s].
 _ANSWER_S: Final = 5.0
 #: Force above which a page that joins a run takes the head to be down, until it hears of a step [N].
@@ -49,7 +49,7 @@ class ChannelClient:
                 )
                 await self._read(reader)
             self._close()
-            await asyncio.sleep(_AGAIN_S)
+            await asyncio.sleep(_RETRY_S)
 
     async def ask(self, do: str, **what: Any) -> str:
         """Send a request to the run; return its reason to refuse, empty if it obeys."""

@@ -19,7 +19,7 @@ from cbsr_qa.web.guard import REPORT_POLICY
 from cbsr_qa.web.texts import text
 
 #: Largest picture of a prompt [B].
-_LARGEST: Final = 5_000_000
+_MAX_PICTURE_BYTES: Final = 5_000_000
 
 
 def _look(store: Repository, run: str) -> RunLook:
@@ -67,6 +67,6 @@ def prompt_picture(channel: ChannelClient, number: int) -> Response:
     try:
         if kind is None or not file.is_absolute():
             raise HTTPException(HTTPStatus.NOT_FOUND)
-        return Response(read_foreign(file, _LARGEST), media_type=kind)
+        return Response(read_foreign(file, _MAX_PICTURE_BYTES), media_type=kind)
     except OSError:
         raise HTTPException(HTTPStatus.NOT_FOUND) from None

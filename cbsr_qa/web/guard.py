@@ -39,7 +39,7 @@ BODY_S: Final = 10.0
 #: Marks before a token or a cookie, the form of both, and how many of each are compared.
 _MARKS: Final = (b"bearer ", b"token=")
 _CREDENTIAL: Final = re.compile(rb" *([\w-]+)")
-_MOST_CREDENTIALS: Final = 16
+_MAX_CREDENTIALS: Final = 16
 
 _POLICY: Final = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self'; connect-src 'self';"
@@ -129,7 +129,7 @@ class Access:
         lower = data.lower()
         for mark in (*_MARKS, f"{self.cookie}=".encode()):  # sooner than by one expression
             end = 0
-            for _ in range(_MOST_CREDENTIALS):
+            for _ in range(_MAX_CREDENTIALS):
                 begin = lower.find(mark, end)
                 if begin < 0:
                     break

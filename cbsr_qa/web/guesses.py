@@ -18,8 +18,8 @@ LONGEST_WAIT_S: Final = 30.0
 #: Time without a guess after which all guesses are forgotten [s].
 _FORGET_S: Final = 900.0
 #: Most guessers, and most guesses of each, that are remembered.
-_MOST_GUESSERS: Final = 4096
-_MOST_GUESSES: Final = 64
+_MAX_GUESSERS: Final = 4096
+_MAX_GUESSES: Final = 64
 
 
 class TooManyGuessesError(Exception):
@@ -68,11 +68,11 @@ class Guesses:
             raise TooManyGuessesError(record.next_s - now_s)
         record.count += 1
         record.latest_s = now_s
-        if len(record.digests) < _MOST_GUESSES:
+        if len(record.digests) < _MAX_GUESSES:
             record.digests.add(digest)
         if record.count >= FREE_GUESSES:
             record.next_s = now_s + min(2.0 ** min(record.count - FREE_GUESSES, 16), LONGEST_WAIT_S)
-        while len(self._guessers) > _MOST_GUESSERS:
+        while len(self._guessers) > _MAX_GUESSERS:
             self._guessers.popitem(last=False)
 
     def accept(self, guesser: Hashable) -> None:

@@ -19,13 +19,13 @@ _BACKLOG: Final = 2048
 #: Buffer of the system for a connection that is not read yet [B]; the system doubles it.
 _KEPT: Final = 32_768
 #: Most connections whose hello is not complete, and number of files that are left for others.
-_MOST_WAITING: Final = 512
+_MAX_WAITING: Final = 512
 _OTHER_FILES: Final = 64
 #: Age at which a connection makes room for another if all places are taken [s]; until then the other waits.
 _SPARED_S: Final = 0.25
 #: Most handshakes under way. If there are as many, the oldest makes room for the next from this age on [s]:
 #: an honest one has ended by then.
-_MOST_HANDSHAKES: Final = 256
+_MAX_HANDSHAKES: Final = 256
 _AGREED_S: Final = 0.4
 #: Number of handshakes begun before connections are read from again.
 _BEGUN_AT_ONCE: Final = 8
@@ -35,7 +35,7 @@ _LOOK_S: Final = 0.02
 #: A record of TLS (RFC 8446, 5.1): type, version and length, then so many bytes.
 _HEADER: Final = 5
 _HANDSHAKE: Final = b"\x16\x03"
-_LONGEST_RECORD: Final = 2**14
+_MAX_RECORD_BYTES: Final = 2**14
 _SWEEP_S: Final = 1.0
 
 
@@ -64,9 +64,7 @@ class Reception:
         self._begins: asyncio.Handle | None = None
         self._again: asyncio.TimerHandle | None = None
         soft_limit = resource.getrlimit(resource.RLIMIT_NOFILE)[0]
-        self._places = (
-            _MOST_WAITING if soft_limit < 0 else max(min(_MOST_WAITING, soft_limit // 2 - _OTHER_FILES), 16)
-        )
+        self._places = _MAX_WAITING if soft_limit < 0 else max(min(_MAX_WAITING, soft_limit // 2 - _OTHER_FILES), 16)
         self._listen()
         self._sweep_later = self._loop.call_later(_SWEEP_S, self._sweep)
 
@@ -129,7 +127,7 @@ class Reception:
         except OSError:
             hello = b""
         record_size = _HEADER + int.from_bytes(hello[3:_HEADER], "big")
-        if len(hello) < awaited or not hello.startswith(_HANDSHAKE) or record_size > _LONGEST_RECORD:
+        if len(hello) < awaited or not hello.startswith(_HANDSHAKE) or record_size > _MAX_RECORD_BYTES:
             self._leave(connection)
         elif len(hello) < record_size:
             self._wait_for(connection, record_size)
@@ -144,7 +142,7 @@ class Reception:
         """Begin the handshakes that are due, in the order of arrival."""
         self._begins = None
         for _ in range(min(_BEGUN_AT_ONCE, len(self._greeted))):
-            if len(self._handshakes) >= _MOST_HANDSHAKES:
+            if len(self._handshakes) >= _MAX_HANDSHAKES:
                 task, (oldest, since_s) = next(iter(self._handshakes.items()))
                 left_s = since_s + _AGREED_S - self._loop.time()
                 if left_s > 0:

@@ -28,13 +28,13 @@ from cbsr_qa.web.line import Line
 from cbsr_qa.web.stations import load_stations
 
 #: Shortest token that somebody may choose.
-_SHORTEST: Final = 16
-_ALLOWED: Final = f"allowed: a file with at least {_SHORTEST} letters, digits, - and _"
-_LARGEST_TOKEN: Final = 2**12
-_LARGEST_PEM: Final = 2**20
+_MIN_TOKEN_LENGTH: Final = 16
+_ALLOWED: Final = f"allowed: a file with at least {_MIN_TOKEN_LENGTH} letters, digits, - and _"
+_MAX_TOKEN_FILE_BYTES: Final = 2**12
+_MAX_PEM_BYTES: Final = 2**20
 _PEM: Final = "both must be PEM files, of the same pair, readable and without a passphrase"
 #: Number of files that may be open: twice that of connections.
-_MOST_FILES: Final = 4096
+_MAX_FILES: Final = 4096
 
 
 @dataclass(frozen=True, slots=True)
@@ -113,7 +113,7 @@ class _Server(uvicorn.Server):
 def _raise_file_limit() -> None:
     """Let all connections be open at once beside the files of the program, as far as the system allows."""
     soft_limit, hard_limit = resource.getrlimit(resource.RLIMIT_NOFILE)
-    limit = _MOST_FILES if hard_limit == resource.RLIM_INFINITY else min(_MOST_FILES, hard_limit)
+    limit = _MAX_FILES if hard_limit == resource.RLIM_INFINITY else min(_MAX_FILES, hard_limit)
     if soft_limit != resource.RLIM_INFINITY and soft_limit < limit:
         resource.setrlimit(resource.RLIMIT_NOFILE, (limit, hard_limit))
 
@@ -155,7 +155,7 @@ def _certificate(request: ServeRequest, *, loopback: bool) -> tuple[Path, Path] 
         raise ConfigError("--certificate and --key belong together", remedy="give both")
     for file, kind in ((request.certificate, "certificate"), (request.key, "key")):
         try:
-            read_foreign(file, _LARGEST_PEM)
+            read_foreign(file, _MAX_PEM_BYTES)
         except OSError as error:
             raise ConfigError(f"{kind} {file} cannot be read: {_why(error)}", remedy=_PEM) from error
     try:
@@ -184,7 +184,7 @@ def _token(request: ServeRequest) -> str:
     """Return the token: of the given file, or one that is made once and kept."""
     file = request.token_file or _make_secret("serve.token")
     token = _read_secret(file, "the token")
-    if len(token) < _SHORTEST or not all(character.isalnum() or character in "-_" for character in token):
+    if len(token) < _MIN_TOKEN_LENGTH or not all(character.isalnum() or character in "-_" for character in token):
         raise ConfigError(f"the token in {file} cannot be used", remedy=_ALLOWED)
     return token
 
@@ -193,7 +193,7 @@ def _cookie_key() -> str:
     """Return the secret of cookies besides the token. It is kept: a browser stays signed in over a restart."""
     file = _make_secret("serve.cookie-key")
     key = _read_secret(file, "the key of cookies")
-    if len(key) < _SHORTEST:
+    if len(key) < _MIN_TOKEN_LENGTH:
         raise ConfigError(f"the key of cookies in {file} is too short", remedy="delete the file: a new key is made")
     return key
 
@@ -209,7 +209,7 @@ def _make_secret(name: str) -> Path:
 
 def _read_secret(file: Path, what: str) -> str:
     try:
-        return read_foreign(file, _LARGEST_TOKEN).decode("ascii").strip()
+        return read_foreign(file, _MAX_TOKEN_FILE_BYTES).decode("ascii").strip()
     except (OSError, UnicodeError) as error:
         raise ConfigError(f"{what} cannot be read from {file}: {_why(error)}", remedy=_ALLOWED) from error
 

@@ -19,9 +19,9 @@ if TYPE_CHECKING:
     from cbsr_qa.studies.charts.charting import MetricChart
 
 #: Most charts drawn of a station, recipe and golden sensor; those that signal come first.
-_MOST_DRAWN: Final = 6
+_MAX_CHARTS: Final = 6
 #: Most drawings kept: a chart is drawn again only once it has another run.
-_MOST_KEPT: Final = 64
+_MAX_CACHED: Final = 64
 
 
 @dataclass(frozen=True, slots=True)
@@ -83,7 +83,7 @@ def _charts(database: str | None, station: str, recipe: str, golden: str) -> Sta
         return StationChartsView(station, recipe, golden, None, error.reason, (), 0)
     outcome = charts_outcome(charts)
     sections = outcome.sections[-len(charts.charts) :]  # the sections of single charts come last
-    drawn = sorted(zip(charts.charts, sections, strict=True), key=lambda one: one[0].signal is None)[:_MOST_DRAWN]
+    drawn = sorted(zip(charts.charts, sections, strict=True), key=lambda one: one[0].signal is None)[:_MAX_CHARTS]
     pictures = tuple(picture for chart, section in drawn for picture in _pictures(chart, section))
     undrawn = len(charts.charts) - len(drawn)
     return StationChartsView(station, recipe, golden, outcome.page.banner, "", pictures, undrawn)
@@ -99,7 +99,7 @@ def _pictures(chart: "MetricChart", section: Section) -> Iterator[ChartPicture]:
             if key not in _kept:
                 svg = block.svg if isinstance(block.svg, str) else block.svg()
                 _kept[key] = f"data:image/svg+xml;base64,{b64encode(svg.encode()).decode()}"
-                while len(_kept) > _MOST_KEPT:
+                while len(_kept) > _MAX_CACHED:
                     del _kept[next(iter(_kept))]
             yield ChartPicture(section.title, _kept[key], block.alternative)
 

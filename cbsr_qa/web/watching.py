@@ -32,7 +32,7 @@ _END_S: Final = 0.5
 #: Interval between looks at what changes by the hour: station check and backlog [s].
 _HEALTH_S: Final = 15.0
 #: Interval between attempts to open the store [s].
-_AGAIN_S: Final = 1.0
+_RETRY_S: Final = 1.0
 #: Time without frames after which a run that takes them is in trouble [s].
 SILENT_S: Final = 60.0
 
@@ -220,7 +220,7 @@ class Watcher(threading.Thread):
                 self._say(refusal_words(error))
             except Exception as error:  # noqa: BLE001 - otherwise pages would freeze without a message
                 self._say(text("trouble.unforeseen", error=repr(error)[:200]), error)
-            self._woken.wait(_AGAIN_S)
+            self._woken.wait(_RETRY_S)
             self._woken.clear()
 
     def _watch(self, store: Repository, plugins: Plugins) -> None:

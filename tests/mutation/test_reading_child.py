@@ -66,7 +66,7 @@ def _give(made):
 )
 def test_a_child_that_dies_is_a_refusal_that_names_the_file(file, monkeypatch, read, said):
     monkeypatch.setattr(reading_child, "_SECONDS", 1.0)
-    monkeypatch.setattr(reading_child, "_CLOCK", 2.0 if read is _sleep else 60.0)
+    monkeypatch.setattr(reading_child, "_CLOCK_FACTOR", 2.0 if read is _sleep else 60.0)
     with pytest.raises(CalibrationError, match=said):
         read_untrusted(file, read, refusal=CalibrationError)
     assert read_untrusted(file, file.read_bytes, refusal=CalibrationError) == b"0123456789"

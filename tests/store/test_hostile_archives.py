@@ -14,7 +14,7 @@ import pytest
 from test_store_archives import archived, bits, decided
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.store.archives import _LARGEST_BYTES
+from cbsr_qa.store.archives import _MAX_ARCHIVE_BYTES
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.system.untrusted import CONTAINED
 
@@ -98,7 +98,7 @@ def test_a_new_archive_is_not_written_where_it_would_not_be_read(line, tmp_path)
         (os.mkfifo, "it is a named pipe, not a file"),
         (os.mkdir, "it is a folder, not a file"),
         (
-            lambda file: file.write_bytes(b"") or os.truncate(file, _LARGEST_BYTES + 1),
+            lambda file: file.write_bytes(b"") or os.truncate(file, _MAX_ARCHIVE_BYTES + 1),
             "it is too large: at most 4 GiB are read",
         ),
     ],
@@ -112,9 +112,9 @@ def test_what_is_no_archive_is_refused_at_once(line, make, why):
 def test_an_archive_of_another_size_is_not_read(line):
     """A file of 4 GiB takes seconds, and as much memory."""
     written = line.file.stat().st_size
-    os.truncate(line.file, _LARGEST_BYTES)
+    os.truncate(line.file, _MAX_ARCHIVE_BYTES)
     before, begun_s = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
-    line.refused(f"which was changed: it has {_LARGEST_BYTES} bytes, {written} were written")
+    line.refused(f"which was changed: it has {_MAX_ARCHIVE_BYTES} bytes, {written} were written")
     assert time.monotonic() - begun_s < 2
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**17  # KiB
 
@@ -122,7 +122,7 @@ def test_an_archive_of_another_size_is_not_read(line):
 def test_a_file_that_is_too_large_for_a_run_is_not_taken_for_its_archive(line):
     with open_store(f"sqlite:///{line.database}") as store:
         store.archives.unarchive(line.run)
-        os.truncate(line.file, _LARGEST_BYTES)
+        os.truncate(line.file, _MAX_ARCHIVE_BYTES)
         with pytest.raises(StoreError, match=r"it is too large: at most .* are read"):
             archived(store, line.run, line.file.parent)
 

@@ -105,7 +105,7 @@ def actions(tmp_path):
 
 
 def test_made_up_names_do_not_push_out_the_guesses_at_an_operator(actions, monkeypatch):
-    monkeypatch.setattr("cbsr_qa.web.guesses._MOST_GUESSERS", 3)
+    monkeypatch.setattr("cbsr_qa.web.guesses._MAX_GUESSERS", 3)
 
     def guess(operator, pin):
         return run_coroutine(actions.count_pin("bench", operator, pin))

@@ -28,7 +28,7 @@ def test_lookers_wait_for_each_other_not_more_than_a_few_and_never_keep_a_contro
 
         lookers = [
             asyncio.create_task(site._run_in_thread(_request(Right.LOOK), make))
-            for _ in range(application._LOOKER_THREADS + application._MOST_WAITING)
+            for _ in range(application._LOOKER_THREADS + application._MAX_WAITING)
         ]
         try:
             await asyncio.sleep(0.5)

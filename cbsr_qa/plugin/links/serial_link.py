@@ -19,7 +19,7 @@ _SLICE_S: Final = 0.02
 #: How long a port may not take any bytes: only a driver of the system that hangs does [s, real time].
 _WRITE_S: Final = 3.0
 #: No instrument of a bench sends longer lines; what does is not the instrument that was expected.
-_LONGEST_LINE: Final = 4096
+_MAX_LINE_BYTES: Final = 4096
 
 
 class SerialLink:
@@ -86,9 +86,9 @@ class SerialLink:
                 end = self._held.find(b"\n")
                 if end >= 0:
                     return self._take(end + 1).rstrip(b"\r\n")
-                if len(self._held) > _LONGEST_LINE:
+                if len(self._held) > _MAX_LINE_BYTES:
                     self._held.clear()
-                    raise self.error(f"sent more than {_LONGEST_LINE} bytes without a line end", remedy=_BAUD)
+                    raise self.error(f"sent more than {_MAX_LINE_BYTES} bytes without a line end", remedy=_BAUD)
         received = f"{len(self._held)} bytes without a line end" if self._held else "nothing"
         raise self.error(f"answered {received} within {allowed_s:g} s", remedy=_SILENT, retryable=True)
 

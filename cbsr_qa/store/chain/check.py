@@ -46,7 +46,7 @@ ALL_KINDS: Final = frozenset({*KEYS, FIGURES})
 #: Documents that state what followed from the data of a run, or what people decided.
 _CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
 #: Names from which on PostgreSQL is asked for a range of them, where that is possible.
-_MANY: Final = 20
+_MIN_RANGE: Final = 20
 #: Remedy for a run that was altered.
 RESTORE: Final = "restore the database from a copy; this run is not evaluated as it is"
 
@@ -197,7 +197,7 @@ def among(connection: Connection, column: Any, runs: Collection[str]) -> ColumnE
     PostgreSQL takes 30 ms for a thousand names, and may read the whole table: runs that follow each other are
     selected by the first and the last of them.
     """
-    if connection.dialect.name != "postgresql" or len(runs) < _MANY:
+    if connection.dialect.name != "postgresql" or len(runs) < _MIN_RANGE:
         return and_(column.in_(runs))
     first, last = min(runs), max(runs)
     between = connection.scalar(select(func.count()).select_from(RunRow).where(RunRow.run.between(first, last)))

@@ -21,7 +21,7 @@ from cbsr_qa.store.tables.runs import RunRow
 AT_ONCE: Final = 2_000
 #: Rows built at once: few enough for their memory to be reused while it is in the processor's cache, which takes two
 #: thirds of the time of 2000.
-_BLOCK: Final = 200
+_ROWS_AT_ONCE: Final = 200
 #: Analyses that are read a second time at once.
 _REREAD_ANALYSES: Final = 500
 
@@ -42,7 +42,7 @@ class Figures:
         sayings: defaultdict[tuple[Any, ...], int] = defaultdict()
         sayings.default_factory = sayings.__len__
         rows = connection.execute(query.execution_options(stream_results=True, max_row_buffer=AT_ONCE))
-        for block in rows.partitions(_BLOCK):
+        for block in rows.partitions(_ROWS_AT_ONCE):
             analysis, number, *saying = zip(*block, strict=True)
             run.extend(map(places.get, analysis, repeat(-1)))
             saying_indexes.extend(map(sayings.__getitem__, zip(*saying, strict=True)))

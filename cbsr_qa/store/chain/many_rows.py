@@ -17,7 +17,7 @@ from sqlalchemy import Table
 from cbsr_qa.store.chain.run_documents import KEYS, double_text, list_writers, sha256
 
 #: Words are written once where a column repeats each of them so often.
-_OFTEN: Final = 4
+_MIN_REPETITIONS: Final = 4
 
 
 def keys_of(table: Table, columns: Mapping[str, Sequence[Any]]) -> list[str]:
@@ -66,11 +66,11 @@ def _texts(key: str, how: Callable[[Any], str], column: Sequence[Any]) -> Sequen
             # As run_documents._double: 0 is added because SQLite keeps no −0.
             return [key + text for text in map(float.__repr__, map(add, column, repeat(0.0)))]
         distinct = set(column)
-        if len(distinct) * _OFTEN <= len(column):
+        if len(distinct) * _MIN_REPETITIONS <= len(column):
             written_once = {cell: key + how(cell) for cell in distinct}
             return list(map(written_once.__getitem__, column))
     objects = {id(cell): cell for cell in column}  # JSON that many rows share is parsed once
-    if len(objects) * _OFTEN <= len(column):
+    if len(objects) * _MIN_REPETITIONS <= len(column):
         texts = {identity: "" if cell is None else key + how(cell) for identity, cell in objects.items()}
         return [texts[id(cell)] for cell in column]
     return ["" if cell is None else key + how(cell) for cell in column]

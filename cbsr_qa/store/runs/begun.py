@@ -21,7 +21,7 @@ from cbsr_qa.store.types import time_of_id
 #: Numbers as they are stored: the column may hold larger ones than the program writes.
 _NUMBER: Final[Any] = type_coerce(RunBegunRow.number, NullType())
 #: By how much numbers may exceed the number of rows: rows are removed by hand only.
-_SPARE: Final = 1_000_000
+_MAX_SPARE_NUMBERS: Final = 1_000_000
 _DIGEST_BYTES: Final = 32
 
 
@@ -106,7 +106,7 @@ def _newest(connection: Connection) -> _Begun | None:
 
 def _limit(connection: Connection) -> int:
     """Return a number that no run has: somebody who may add rows can take the largest that the column holds."""
-    return (connection.scalar(select(func.count()).select_from(RunBegunRow)) or 0) + _SPARE
+    return (connection.scalar(select(func.count()).select_from(RunBegunRow)) or 0) + _MAX_SPARE_NUMBERS
 
 
 def name_odd_rows(connection: Connection) -> tuple[str, ...]:

@@ -30,7 +30,7 @@ from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, RunStateRo
 MOST_BLOCKS: Final = 400
 
 #: (phase, block) before the first.
-_START: Final = (-1, -1)
+_BEFORE_FIRST: Final = (-1, -1)
 
 
 @dataclass(frozen=True, slots=True)
@@ -147,7 +147,11 @@ class LiveRuns:
         self._engine = engine
 
     def read_tail(
-        self, run: str, *, frames_after: tuple[int, int] = _START, samples_after: tuple[int, int] = _START
+        self,
+        run: str,
+        *,
+        frames_after: tuple[int, int] = _BEFORE_FIRST,
+        samples_after: tuple[int, int] = _BEFORE_FIRST,
     ) -> RunTail:
         """Read what a run has stored since (phase, block) of its frames and samples.
 

@@ -98,9 +98,8 @@ class Runs:
             state = current_state(connection, run)
             states = select(RunStateRow.spent).where(RunStateRow.run == run).order_by(RunStateRow.number)
             spent_s: defaultdict[str, float] = defaultdict(float)
-            for session_spent in connection.scalars(states):
-                for kind, duration_s in session_spent:
-                    spent_s[kind] += duration_s
+            for kind, duration_s in (pair for pairs in connection.scalars(states) for pair in pairs):
+                spent_s[kind] += duration_s
             try:
                 sessions = sessions_of(connection, run)
                 phases, set_aside = _phases(connection, run, sessions)

@@ -26,7 +26,7 @@ from cbsr_qa.store.tables.runs import RunRow, RunStateRow
 from cbsr_qa.store.unreadable_runs import read_apart, readable_values
 
 #: Columns of a run that are as long as all others together, and that nobody lists.
-_LONG: Final = ("configuration", "configuration_digest", "software")
+_LONG_COLUMNS: Final = ("configuration", "configuration_digest", "software")
 #: Columns of a state, an analysis and an override, in the order of what reads them.
 _STATE: Final = ("end", "detail", "time_s")
 _RESULT: Final = ("analysis", "analysed_at", "outcome", "reason", "software")
@@ -108,7 +108,7 @@ def verdict_of(connection: Connection, run: str) -> StoredVerdict | None:
 
 def _unreadable(connection: Connection, run: str, problem: str) -> list[StoredVerdict]:
     values = readable_values(connection, run)
-    shown_values = {name: value for name, value in values.items() if name not in _LONG}
+    shown_values = {name: value for name, value in values.items() if name not in _LONG_COLUMNS}
     return [
         StoredVerdict(
             shown_values, chain_state(connection, values["chain"]), EndReason.RUNNING, "", 0.0, altered=problem
@@ -131,7 +131,7 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
     analysis_of = {run: analysis for run, analysis in results if analysis[0] not in outdated}
     places = zip(overrides.runs, overrides.columns["analysis"], strict=True)
     decided = dict(zip(places, overrides.tuples(_DECISION), strict=True))
-    names = [name for name in own.columns if name not in _LONG]
+    names = [name for name in own.columns if name not in _LONG_COLUMNS]
     for run, values in zip(own.runs, own.tuples(names), strict=True):
         facts, chain = dict(zip(names, values, strict=True)), known_chains[chains[run]]
         state, analysis = state_of.get(run), analysis_of.get(run)

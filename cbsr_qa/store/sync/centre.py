@@ -26,7 +26,7 @@ from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.tables.sync import SyncAcceptsRow, SyncRefusalRow, SyncSettlementRow
 
-_LAST: Final = datetime.max.replace(tzinfo=UTC)
+_LATEST_MOMENT: Final = datetime.max.replace(tzinfo=UTC)
 
 
 def check_centre(engine: Engine, station: Engine) -> None:
@@ -174,10 +174,10 @@ def _is_open() -> ColumnElement[bool]:
     """Whether a refusal was not settled since."""
     refusal, settled = SyncRefusalRow, SyncSettlementRow
     same = settled.kind == refusal.kind, settled.item == refusal.item, settled.settled_at > refusal.noted_at
-    return ~exists().where(*same, settled.settled_at <= _LAST)  # a row that cannot be read settles nothing
+    return ~exists().where(*same, settled.settled_at <= _LATEST_MOMENT)  # a row that cannot be read settles nothing
 
 
 def _later_moment(moment: datetime | None) -> datetime:
     """Return the time, or a moment that is just later than another computer's clock said."""
     now, step = datetime.now(UTC), timedelta(microseconds=1)
-    return now if moment is None or not now <= moment <= _LAST - step else moment + step
+    return now if moment is None or not now <= moment <= _LATEST_MOMENT - step else moment + step

@@ -32,7 +32,7 @@ _ITEMS: Final[Mapping[Kind, tuple[Any, Any]]] = {
     Kind.RELEASE: (ReleaseRow.release_id, ReleaseRow.noted_at),
 }
 #: Identifiers asked for at once.
-_AT_ONCE: Final = 500
+_IDENTIFIERS_AT_ONCE: Final = 500
 
 
 def compare_run(station: Engine, centre: Engine, run: str) -> None:
@@ -133,7 +133,9 @@ def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str])
     runs : that were sent now; the latest run of the database is looked at too.
     """
     with reading(station) as ours, reading(centre) as theirs:
-        before = set(ours.scalars(select(RunRow.before_run).where(RunRow.run.in_(list(runs)[-_AT_ONCE:]))))
+        before = set(
+            ours.scalars(select(RunRow.before_run).where(RunRow.run.in_(list(runs)[-_IDENTIFIERS_AT_ONCE:])))
+        )
         before |= {begun.latest_begun(ours)}
         followers = select(RunRow.run, RunRow.before_run).where(RunRow.before_run.in_(before - {None}))
         follower_rows = theirs.execute(followers.order_by(RunRow.run)).all()

@@ -23,7 +23,7 @@ _EPOCH: Final = datetime(2000, 1, 1, tzinfo=UTC)
 #: Rows that are written at once: few enough for their bytes to stay in the processor's cache.
 AT_ONCE: Final = 256
 #: Words are encoded once where a column repeats each of them so often.
-_OFTEN: Final = 4
+_MIN_REPETITIONS: Final = 4
 #: Columns without an empty cell: how a length and a number are written, and the length.
 _NUMBERS: Final = ((FiniteDouble, struct.Struct("!id").pack, 8), (Whole, struct.Struct("!ii").pack, 4))
 #: How the cell of any other column is written; words are UTF-8.
@@ -86,7 +86,7 @@ def _fields(kind: object, cells: Sequence[Any]) -> tuple[Iterable[bytes], ...]:
     for of_kind, pack, size in _NUMBERS:
         if isinstance(kind, of_kind):
             return (list(map(pack, repeat(size), cells)),)
-    if write is str.encode and len(words := set(cells)) * _OFTEN <= len(cells):
+    if write is str.encode and len(words := set(cells)) * _MIN_REPETITIONS <= len(cells):
         once = {word: _length(len(data)) + data for word in words for data in (str.encode(word),)}
         return (list(map(once.__getitem__, cells)),)
     whole = list(map(write, cells))

@@ -29,7 +29,7 @@ MOST_LINKS: Final = 4000
 MOST_BYTES: Final = 16_000_000
 
 #: More links than anything that is stored at once has, and the kinds of links with which it begins.
-_MOST_AT_ONCE: Final = 64
+_MAX_LINKS_AT_ONCE: Final = 64
 _BEGINS: Final = OF_A_SESSION | {
     *(one.__tablename__ for one in (PhaseEndRow, AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
 }
@@ -40,7 +40,7 @@ _CHECKED: Final[Mapping[str, Any]] = {
     SampleBlockRow.__tablename__: check_many_samples,
     CalibrationRow.__tablename__: check_files,
 }
-_BLOCKS: Final = (FrameBlockRow.__tablename__, SampleBlockRow.__tablename__)
+_BLOCK_TABLES: Final = (FrameBlockRow.__tablename__, SampleBlockRow.__tablename__)
 #: Where a run stands at the centre: number and digest of its last link.
 Tail = tuple[int, str]
 NOTHING: Final[Tail] = (-1, "")
@@ -194,7 +194,7 @@ def read_unchained(connection: Connection, run: str, centre: Mapping[tuple[str, 
 def _links(connection: Connection, run: str, number: int) -> list[Any]:
     """Links that follow a number, as many as make a parcel; what the station stored at once is not divided."""
     query = raw_select(Base.metadata.tables[LinkRow.__tablename__]).where(LinkRow.run == run, LinkRow.number > number)
-    links = list(connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS + _MOST_AT_ONCE)).all())
+    links = list(connection.execute(query.order_by(LinkRow.number).limit(MOST_LINKS + _MAX_LINKS_AT_ONCE)).all())
     sizes = _sizes(connection, run, links)
     if not sizes and len(links) <= MOST_LINKS:
         return links
@@ -205,7 +205,7 @@ def _links(connection: Connection, run: str, number: int) -> list[Any]:
             if place >= MOST_LINKS or total > MOST_BYTES:
                 return links[:place]
         total += sizes.get((link.kind, link.document), 0)
-    return links if len(links) < MOST_LINKS + _MOST_AT_ONCE else links[:ends]
+    return links if len(links) < MOST_LINKS + _MAX_LINKS_AT_ONCE else links[:ends]
 
 
 def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple[str, str], int]:
@@ -214,7 +214,7 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
     of_kind = defaultdict[str, list[str]](list)
     for _, _, kind, document, *_ in links:
         of_kind[kind].append(document)
-    for table in (Base.metadata.tables[name] for name in _BLOCKS):
+    for table in (Base.metadata.tables[name] for name in _BLOCK_TABLES):
         if keys := of_kind[table.name]:
             parts: list[Any] = [func.coalesce(func.length(column), 0) for column in table.columns if is_bytes(column)]
             if table.name == FrameBlockRow.__tablename__:  # an archived one has no bytes here
@@ -222,7 +222,7 @@ def _sizes(connection: Connection, run: str, links: Sequence[Any]) -> dict[tuple
                 parts += [case((func.length(row.voltages) == 0, 8 * row.frames * row.drives * row.measures), else_=0)]
             size = sum(parts, literal(0))
             of_keys = within(table, run, keys)
-            if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_BLOCKS):
+            if (connection.scalar(select(func.sum(size)).where(of_keys)) or 0) > MOST_BYTES // len(_BLOCK_TABLES):
                 query = select(table.c.phase, table.c.block, size).where(of_keys)
                 sizes.update(
                     {(table.name, f"{phase}/{block}"): count for phase, block, count in connection.execute(query)}

@@ -44,7 +44,7 @@ _BATCH: Final = 64
 #: Ends what says that the centre lost something.
 _OR_ANOTHER: Final = ": it lost that, or is another database than the one that confirmed it; it was sent again"
 #: How often a run is tried that another sender of the same run overtook.
-_TRIES: Final = 3
+_MAX_TRIES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -210,7 +210,7 @@ def _describe_loss(entry: Entry, tail: Tail | None) -> str:
 def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
     """Send what the centre lacks of a run; again from where it stands if somebody else sent rows of it meanwhile."""
     rows = sent.rows
-    for tries_left in reversed(range(_TRIES)):
+    for tries_left in reversed(range(_MAX_TRIES)):
         try:
             _send_rest(station, centre, entry, tail, sent)
             new = sent.rows > rows

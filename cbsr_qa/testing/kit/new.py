@@ -15,7 +15,7 @@ from cbsr_qa.plugin import Kind, RefusedError
 from cbsr_qa.plugin.discovery import Plugins
 
 #: Names of folders and modules are made from it, and lines of code hold it.
-_LONGEST_NAME: Final = 24
+_MAX_NAME_LENGTH: Final = 24
 _NAME: Final = re.compile(r"[a-z][a-z0-9]*(-[a-z][a-z0-9]*)*")
 
 #: File of the package → template; "{module}" is the importable name, "{kind}" the kind's.
@@ -97,10 +97,10 @@ _TEMPLATES: Final = Environment(
 
 
 def _check_name(kind: Kind, name: str, plugins: Plugins) -> None:
-    if not _NAME.fullmatch(name) or len(name) > _LONGEST_NAME:
+    if not _NAME.fullmatch(name) or len(name) > _MAX_NAME_LENGTH:
         raise RefusedError(
             f"{name!r} cannot be the name of a plugin",
-            remedy=f"use at most {_LONGEST_NAME} lower-case letters and digits; words are joined by hyphens "
+            remedy=f"use at most {_MAX_NAME_LENGTH} lower-case letters and digits; words are joined by hyphens "
             "and begin with a letter, e.g. peak-force",
         )
     if name in plugins.names(kind):

@@ -13,7 +13,7 @@ from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.system.foreign import read_foreign
 
 _GROUP = "cbsr_qa"
-_LARGEST_PROJECT = 2**20
+_MAX_PROJECT_BYTES = 2**20
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,7 +87,7 @@ def _list_in_folder(folder: Path, kind: Kind | None) -> Targets:
 
 def _project(file: Path) -> dict[str, Any]:
     try:
-        document = tomllib.loads(read_foreign(file, _LARGEST_PROJECT).decode())
+        document = tomllib.loads(read_foreign(file, _MAX_PROJECT_BYTES).decode())
     except OSError as error:
         raise PluginError(
             f"{file} cannot be read: {error.strerror or error}",

@@ -26,7 +26,7 @@ def add_series_resistance(moment: Moment, electrode: int, resistance_ohm: float)
         moment.impedance_ohm = impedance
 
 
-_MOST: Final = 50.0  # change of ln z; no sheet can be solved with contacts that far off
+_MAX_LOG_CHANGE: Final = 50.0  # change of ln z; no sheet can be solved with contacts that far off
 
 
 class ContactDrift(SceneEffect):
@@ -53,7 +53,7 @@ class ContactDrift(SceneEffect):
             return
         grown = self._rate_per_s * moment.run_s
         worst = int(np.abs(grown).argmax())
-        if abs(grown[worst]) > _MOST:
+        if abs(grown[worst]) > _MAX_LOG_CHANGE:
             raise RefusedError(
                 f"contact-drift makes contact {worst} e^{grown[worst]:.0f} of what it was at {moment.run_s:g} s",
                 remedy="take a smaller deviation_per_hour",

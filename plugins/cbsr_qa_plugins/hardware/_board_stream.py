@@ -18,9 +18,9 @@ _MARK: Final = ord("A")
 #: What the mark and its carriage return are taken for, read late and read early.
 _MARKS_AS_COUNTS: Final = (_MARK + 256 * _RETURN, _RETURN + 256 * _MARK)
 #: Readings are noisy: two places fit so often only in a stream that does not change at all.
-_MOST_ROUNDS: Final = 6
+_MAX_ROUNDS: Final = 6
 #: Characters of a number and its comma, and of the board's clock; a line of more for each number holds no row.
-_LONGEST_NUMBER: Final = 24
+_MAX_NUMBER_LENGTH: Final = 24
 
 
 def binary_frame_bytes(pairs: int) -> int:
@@ -79,7 +79,7 @@ class BinaryStream(BoardStream):
     A byte of a count can be ``\r`` or ``A`` too, so that frames are cut by length: one begins where all
     separators stand where they should. They also do so 3 k bytes beside a frame whose first or last k counts
     happen to hold the right bytes; the mark is then taken for a count. Where a count looks like the mark, as
-    many frames are looked at as it takes until only one place is left, up to :data:`_MOST_ROUNDS`.
+    many frames are looked at as it takes until only one place is left, up to :data:`_MAX_ROUNDS`.
 
     Counts carry no checksum: a changed byte is noticed only where it stands between counts.
     """
@@ -127,7 +127,7 @@ class BinaryStream(BoardStream):
     def _find_unique_start(self, start: int) -> int | None:
         """Return the only start within a round that keeps fitting; None if more bytes are needed."""
         candidates = list(range(start, start + self._bytes))
-        for number in range(_MOST_ROUNDS):
+        for number in range(_MAX_ROUNDS):
             if len(self._held) < start + (number + 2) * self._bytes - 1:
                 return None
             candidates = [k for k in candidates if self._fits(self._held, k + number * self._bytes)]
@@ -168,7 +168,7 @@ class TextStream(BoardStream):
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
         *lines, self._held = (self._held + data).split(b"\n")
-        if len(self._held) > _LONGEST_NUMBER * (self._pairs + 1):
+        if len(self._held) > _MAX_NUMBER_LENGTH * (self._pairs + 1):
             self._spoil_frame()
             self._held = b""
         return [frame for line in lines if (frame := self._line(line)) is not None]

@@ -16,7 +16,7 @@ from cbsr_qa.system.clock import RealClock
 
 #: Lines are counted from here on after a start: a printer that asks for number 1 has restarted.
 _FIRST_NUMBER: Final = 1000
-_LONGEST_LINE: Final = 96
+_MAX_LINE_LENGTH: Final = 96
 _ATTEMPTS: Final = 4
 #: How long a printer may go on saying that it is busy [s, real time]: homing with mesh levelling takes minutes.
 _BUSY_AT_MOST_S: Final = 600.0
@@ -138,7 +138,7 @@ class MarlinLink:
         """Send a numbered line until it was executed."""
         body = f"N{number} {text}"
         line = f"{body}*{reduce(xor, body.encode('ascii'), 0)}\n".encode("ascii")
-        assert len(line) <= _LONGEST_LINE, f"{text!r} is too long for the printer's buffer"
+        assert len(line) <= _MAX_LINE_LENGTH, f"{text!r} is too long for the printer's buffer"
         for _ in range(_ATTEMPTS):
             self._link.write(line)
             try:

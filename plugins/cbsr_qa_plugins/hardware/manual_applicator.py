@@ -10,7 +10,7 @@ from cbsr_qa_plugins.hardware.manual_samplers import Operator
 
 _DRIVER: Final = "manual-applicator"
 #: A depth that was missed so often is not going to be met.
-_MOST_PRESSED: Final = 5
+_MAX_PRESSES: Final = 5
 
 
 class ManualHeadOptions(PluginOptions):
@@ -123,7 +123,7 @@ class ManualApplicator(DriverBase):
         scale_mm = self._surface_mm() + depth_mm
         self._down = True
         order = f"{'go' if depth_mm else 'come'} to {depth_mm:g} mm below the surface at {60 * speed_mm_s:.3g} mm/min"
-        for _ in range(_MOST_PRESSED):
+        for _ in range(_MAX_PRESSES):
             found_mm = self._operator.number(
                 f"{order}: {scale_mm:.2f} mm on the scale. What the scale says (Enter: exactly that)",
                 "mm",

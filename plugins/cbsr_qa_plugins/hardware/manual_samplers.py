@@ -21,7 +21,7 @@ from cbsr_qa.plugin import (
 from cbsr_qa_plugins.hardware._driver import DriverBase, Text, config_error
 
 #: Number of invalid answers before giving up.
-_MOST_ASKED: Final = 5
+_MAX_QUESTIONS: Final = 5
 _NUMBER: Final = re.compile(r"[+-]?(\d+(\.\d*)?|\.\d+)(e[+-]?\d+)?", re.IGNORECASE)
 
 
@@ -64,7 +64,7 @@ class Operator:
         default : meaning of an empty answer; None if it is invalid.
         """
         question = f"{self._role}: {text} [{unit}]:"
-        for _ in range(_MOST_ASKED):
+        for _ in range(_MAX_QUESTIONS):
             answer = self._ask(question).strip()
             if not answer and default is not None:
                 return default
@@ -76,7 +76,7 @@ class Operator:
         raise InstrumentError(
             self._role,
             "the operator",
-            f"{_MOST_ASKED} answers were not a number of {unit} within {least:g} to {most:g}",
+            f"{_MAX_QUESTIONS} answers were not a number of {unit} within {least:g} to {most:g}",
         )
 
 

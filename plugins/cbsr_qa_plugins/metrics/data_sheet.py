@@ -204,7 +204,7 @@ class ZeroReturn:
 
 
 #: Qualifier of the figure that creep is in.
-_READ: Final = "as read"
+_AS_READ: Final = "as read"
 _NO_LOOP: Final = NumericsError(
     "no strain was reached from below and from above without lifting the head between",
     remedy='give the recipe a phase with sequence = "hysteresis-loop"',
@@ -228,7 +228,7 @@ class Hysteresis:
 
 
 def _measure_loops(run: RunObservation, *, relaxed: bool) -> list[Measurement]:
-    qualifier = "" if relaxed else _READ
+    qualifier = "" if relaxed else _AS_READ
     last_s = run.settings.steady_frames * run.frame_period_s
     try:
         curves = [loop_curve(loop, relaxed=relaxed, last_s=last_s) for loop in run.loops]

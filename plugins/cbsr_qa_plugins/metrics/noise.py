@@ -10,7 +10,7 @@ from cbsr_qa.eit.inverse.scaling import changes
 from cbsr_qa.plugin import Dimensions, LoadObservation, Measurement, PluginOptions, Role, RunObservation, WithOptions
 
 #: Frames that leave a scatter worth the name.
-_FEWEST_FRAMES: Final = 4
+_MIN_FRAMES: Final = 4
 
 
 class NoiseFigure:
@@ -26,7 +26,7 @@ class NoiseFigure:
     def measure_run(self, run: RunObservation) -> tuple[Measurement, ...]:
         scatter = _noise(run)
         if scatter is None:
-            return (_refuse_noise_figure(f"fewer than {_FEWEST_FRAMES} unloaded frames to take the noise from"),)
+            return (_refuse_noise_figure(f"fewer than {_MIN_FRAMES} unloaded frames to take the noise from"),)
         if not scatter.any():
             return (_refuse_noise_figure("the unloaded frames do not differ: there is no noise to propagate"),)
         signals, phase, source = _signals(run)
@@ -52,7 +52,7 @@ def _refuse_noise_figure(why: str) -> Measurement:
 def _noise(run: RunObservation) -> Array | None:
     """Scatter of the used readings about a straight line in time, (k, m), scaled to its degrees of freedom."""
     frames = run.unloaded
-    if len(frames) < _FEWEST_FRAMES:
+    if len(frames) < _MIN_FRAMES:
         return None
     readings = changes(frames.voltages, run.reference, run.reconstruction.problem, run.scale)
     residuals = off_the_line(readings, frames.time_s)

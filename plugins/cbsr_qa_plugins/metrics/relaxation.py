@@ -20,7 +20,7 @@ from cbsr_qa.report.tables import plural, with_uncertainty
 from cbsr_qa_plugins.metrics._shared import measurement_of_load
 
 #: Fewest points of a trace that are fitted.
-_FEWEST = 5
+_MIN_POINTS = 5
 
 #: A load with one of its relaxations.
 _Member = tuple[LoadObservation, RelaxationObservation]
@@ -93,7 +93,7 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
 
 
 def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
-    traced = [member for member in members if len(member[1].trace.values) >= _FEWEST]
+    traced = [member for member in members if len(member[1].trace.values) >= _MIN_POINTS]
     starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in traced]
     traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(traced, starts, strict=True)]
     common = fit_common_relaxation(traces)

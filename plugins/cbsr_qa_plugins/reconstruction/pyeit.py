@@ -32,7 +32,7 @@ from cbsr_qa.plugin import (
 )
 
 _REMEDY = "pip install 'cbsr-qa[pyeit]'"
-_MOST_CONDITION = 1e12  # its inverse has four digits then
+_MAX_CONDITION = 1e12  # its inverse has four digits then
 _TARGET_RADIUS = 0.13  # of the sheet's radius: the 13 mm indenter on the 100 mm disc
 _TARGET_CONTRAST = 0.01
 
@@ -114,7 +114,7 @@ def check_determined(squares: Array, p: float, lamb: float) -> None:
     ----------
     squares : diagonal of JᵀJ or JJᵀ, whose p-th powers are R.
     """
-    least = float((squares ** (1 - p)).sum()) / _MOST_CONDITION
+    least = float((squares ** (1 - p)).sum()) / _MAX_CONDITION
     if not lamb >= least:
         raise NumericsError(
             f"lamb is {lamb:.3g}, too small: rounding would decide pyEIT's image",

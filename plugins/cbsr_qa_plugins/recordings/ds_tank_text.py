@@ -25,8 +25,8 @@ _ELECTRODES: Final = 16
 _LENGTH: Final = 208  # 16 drives × 13 measure pairs that touch no driven electrode
 _START: Final = "#Start"
 _COLUMNS: Final = 3  # Vr, Vi, I
-_MOST_LINES: Final = 1000  # these files have some 220
-_LARGEST: Final = 1e6  # no voltage or current of a tank
+_MAX_LINES: Final = 1000  # these files have some 220
+_MAX_VALUE: Final = 1e6  # no voltage or current of a tank
 
 Rows = list[tuple[int, list[str]]]
 
@@ -82,7 +82,7 @@ def _read_frame(path: Path) -> tuple[FrameBlock, list[RowProblem]]:
 
 def _rows(path: Path) -> tuple[Rows, list[RowProblem]]:
     """Return the rows by line, without the repeated last one of these files."""
-    lines = islice(text_lines(path), _MOST_LINES)
+    lines = islice(text_lines(path), _MAX_LINES)
     if not any(line.text.strip() == _START for line in lines):
         raise RecordingError(f"{path.name} has no {_START} line", remedy="this is not a whole DS tank file")
     rows = [(line.number, line.text.split()) for line in lines if line.text.strip()]
@@ -95,7 +95,7 @@ def _rows(path: Path) -> tuple[Rows, list[RowProblem]]:
 def _voltage(fields: list[str]) -> float | None:
     """Vr of a row; None if it is not three numbers."""
     numbers = [number(field) for field in fields]
-    possible = all(value is not None and abs(value) <= _LARGEST for value in numbers)
+    possible = all(value is not None and abs(value) <= _MAX_VALUE for value in numbers)
     return numbers[0] if possible and len(numbers) == _COLUMNS else None
 
 

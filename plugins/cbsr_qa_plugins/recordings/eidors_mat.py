@@ -38,7 +38,7 @@ _MATRIX: Final = 14
 _PACKED: Final = 15
 #: Bytes of a packed variable that hold its header, whatever its name.
 _BEGINNING: Final = 1024
-_MOST_VARIABLES: Final = 10_000
+_MAX_VARIABLES: Final = 10_000
 _NUMERIC_CLASSES: Final = range(6, 16)
 _COMPLEX: Final = 0x0800
 _LOGICAL: Final = 0x0200
@@ -107,7 +107,7 @@ def _elements(data: bytes) -> Iterator[tuple[memoryview, bool, str]]:
     while offset + 8 <= len(data):
         kind, length = struct.unpack_from(f"{order}II", data, offset)
         count += 1
-        if kind not in (_MATRIX, _PACKED) or count > _MOST_VARIABLES:
+        if kind not in (_MATRIX, _PACKED) or count > _MAX_VARIABLES:
             raise ValueError(f"no variable begins at byte {offset}")
         if offset + 8 + length > len(data):
             raise ValueError(f"the variable at byte {offset} is cut")
@@ -155,7 +155,7 @@ _ELECTRODES: Final = {count**2: count for count in (16, 32)}
 _ROWS: Final = " or ".join(map(str, _ELECTRODES))
 _HEADER_BYTES: Final = 512  # in front of the HDF5 part of a file of version 7.3
 #: More than any such file; all of it is in memory.
-_LARGEST_BYTES: Final = 2**29
+_MAX_FILE_BYTES: Final = 2**29
 _HDF5: Final = b"\x89HDF\r\n\x1a\n"
 #: Frame rates the data's authors state; the files themselves hold no times.
 _DOCUMENTED_RATE_HZ: Final = {"zc_demo": 7.0, "zc_resp": 7.0, "zc_breathhold": 7.0}
@@ -220,7 +220,7 @@ class EidorsMat:
 
 
 def _matrices(path: Path, asked: str | None = None) -> dict[str, Matrix]:
-    data = read_foreign(path, _LARGEST_BYTES)
+    data = read_foreign(path, _MAX_FILE_BYTES)
     if data.startswith((_HDF5, b"MATLAB 7.3")) or data[_HEADER_BYTES:].startswith(_HDF5):
         raise RecordingError(
             f"{path.name} is a MATLAB file of version 7.3 (HDF5)", remedy="save it in MATLAB or Octave with -v7"

@@ -38,7 +38,7 @@ _WITH_MASS = re.compile(r"(?i)mass")
 #: Lines among which the titles are.
 _TOP: Final = 10
 #: The file states the drive current in µA; this board drives far less than an ampere.
-_MOST_UA: Final = 1e6
+_MAX_CURRENT_UA: Final = 1e6
 #: Numbers of rows, without and with the board's clock.
 _WIDTHS: Final = frozenset(pairs + clock for pairs in BOARDS for clock in (0, 1))
 
@@ -247,6 +247,6 @@ def _current(lines: list[BoardLine]) -> tuple[float | None, list[str]]:
         return None, [f"the file states different drive currents ({', '.join(sorted(texts))} µA): none is used"]
     (text,) = texts
     current_uA = number(text) or 0.0
-    if not 0 < current_uA <= _MOST_UA:
+    if not 0 < current_uA <= _MAX_CURRENT_UA:
         return None, [f"Isrc is {text[:20]!r}, which is no current in µA: the current is not stated"]
     return current_uA * 1e-6, []

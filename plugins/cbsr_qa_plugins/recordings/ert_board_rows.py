@@ -28,7 +28,7 @@ from cbsr_qa_plugins.recordings.lab_files import number as as_number
 #: A 16-bit converter, printed as signed or unsigned.
 LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
 #: No converter, whatever its counts were multiplied by, fills more.
-_LARGEST_RANGE: Final = 2**40
+_MAX_COUNT_RANGE: Final = 2**40
 
 _BYTES_LITERAL = re.compile(r"""^b(['"])(.*)\1$""", re.DOTALL)
 _INTEGER = re.compile(r"^[+-]?\d{1,18}(\.0*)?$")
@@ -37,7 +37,7 @@ _SPOILT_MARK = re.compile(r"^A[A\d,.+-]+$", re.IGNORECASE)
 #: The board counts milliseconds in 32 bits.
 LAST_BOARD_MS: Final = 2**32 - 1
 #: Latest time of a computer that is believed [s]; Unix time will reach it in the year 5138.
-_LAST_COMPUTER_S: Final = 1e11
+_MAX_COMPUTER_S: Final = 1e11
 #: A line with at least this many numbers is a row of readings with something wrong in it, not a log.
 _NUMBERS_OF_A_ROW: Final = 3
 
@@ -125,7 +125,7 @@ def parse_line(number: int, text: str, *, with_mass: bool) -> BoardLine:
     if key in ("utc:", "isrc:") or key.startswith("time"):
         return BoardLine(number, LineKind.HEADER, said=",".join(fields))
     computer_s = as_number(fields[0])
-    if computer_s is None or abs(computer_s) > _LAST_COMPUTER_S:
+    if computer_s is None or abs(computer_s) > _MAX_COMPUTER_S:
         return BoardLine(number, LineKind.GARBLED, said=f"it does not start with a time but with {fields[0][:20]!r}")
     with_mass = with_mass and not whole_line
     mass_g = as_number(fields[1]) if with_mass and len(fields) > 1 else None
@@ -194,7 +194,7 @@ def count_scale(rows: Sequence[tuple[int, ...]]) -> CountScale:
         return CountScale(factor)
     typical = sorted(max(map(abs, row)) for row in rows)[len(rows) // 2]
     reach: int = 2 ** (typical.bit_length() + 1)
-    return CountScale(1, -reach, reach - 1) if reach <= _LARGEST_RANGE else CountScale()
+    return CountScale(1, -reach, reach - 1) if reach <= _MAX_COUNT_RANGE else CountScale()
 
 
 def _sixteen_bits(row: tuple[int, ...]) -> bool:

@@ -102,14 +102,14 @@ def number(text: str) -> float | None:
 
 _MARK: Final = "simulated: "
 #: Characters for all fields together: the titles must lie within the first 4096 bytes, by which files are recognised.
-_MOST: Final = 900
+_MAX_FIELD_LENGTH: Final = 900
 _NOT_IN_A_FIELD: Final = str.maketrans({",": ";", '"': "'", "\n": " ", "\r": " "})
 
 
 def mark(simulated: Iterable[str]) -> str:
     """Further fields of a ``UTC:`` line, each after a comma; empty if nothing was simulated."""
     fields = "".join(f",{_MARK}{what.translate(_NOT_IN_A_FIELD)}" for what in simulated)
-    return fields if len(fields) <= _MOST else fields[:_MOST] + " …"
+    return fields if len(fields) <= _MAX_FIELD_LENGTH else fields[:_MAX_FIELD_LENGTH] + " …"
 
 
 def find_simulation_marks(lines: Iterable[str]) -> tuple[str, ...]:
@@ -123,7 +123,7 @@ WRITTEN_UTC: Final = "2000-01-01 00:00:00.000000"
 #: Of the rig with a source-measure unit behind a multiplexer, and of the authors' board.
 ELECTRODES: Final = 16
 #: From this share of frames that lose rows on readers cannot tell any more how the frames follow each other.
-_MOST_LOST: Final = 0.5
+_MAX_LOST_SHARE: Final = 0.5
 _OWN_FORMAT: Final = "write cbsr-recording"
 
 
@@ -181,7 +181,7 @@ def refuse_unfit(
             remedy=_OWN_FORMAT,
         )
     count, broken = len(transcript.lost), int(transcript.lost.any(axis=1).sum())
-    if not count or broken >= _MOST_LOST * count:
+    if not count or broken >= _MAX_LOST_SHARE * count:
         raise RefusedError(
             f"{broken} of {count} frames lose rows; readers of {name} find frames again among whole ones",
             remedy=f"let fewer than half of the frames lose rows, or {_OWN_FORMAT}",

@@ -23,7 +23,7 @@ FRAME: Final = 256
 
 _SATURATED = re.compile(r"^(?P<value>\S+)\s+MAX VOLTAGE ERROR$")
 #: Unix time will reach it in the year 5138; no source of this rig reaches a kilovolt or an ampere.
-_LAST_TIME_S: Final = 1e11
+_MAX_TIME_S: Final = 1e11
 MOST_V: Final = 1e3
 MOST_A: Final = 1.0
 
@@ -132,7 +132,7 @@ def _reading(number: int, fields: list[str], *, copy: bool) -> Reading:
         except ValueError:
             return _bad(number, f"{text[:40]!r} is not a number")
     time_s, voltage, current, *others = values
-    if not (abs(time_s) <= _LAST_TIME_S and abs(voltage) <= MOST_V):
+    if not (abs(time_s) <= _MAX_TIME_S and abs(voltage) <= MOST_V):
         return _bad(number, f"time {time_s} s or voltage {voltage} V is not a possible number")
     if abs(current) > MOST_A:
         return _bad(number, f"current {current} A is not a possible number")

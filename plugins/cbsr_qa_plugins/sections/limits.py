@@ -25,12 +25,12 @@ from cbsr_qa.report.select import alike, spread_text
 from cbsr_qa.report.tables import limit_text, margin_text, plural, sign_of_bound, text_table, unit_column, value_cell
 
 #: A measurement with more qualifiers than this gets one row for all of them.
-_MOST_QUALIFIERS: Final = 8
+_MAX_QUALIFIERS: Final = 8
 #: Of more limits than this only the closest ones, and all that were not passed, are shown unfolded.
-_MOST_LIMITS: Final = 60
+_MAX_LIMITS: Final = 60
 _CLOSEST: Final = 24
 #: Phases that fit a page beside each other.
-_MOST_PHASES: Final = 4
+_MAX_PHASES: Final = 4
 
 
 class Limits(RunSection):
@@ -96,7 +96,7 @@ def _limit_tables(judged: Sequence[Measurement]) -> list[Table]:
     rows = [_limit_row(m, m.phase in strains, versioned) for m in order]
     columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
     caption = "Limits. Margin: distance from the nearer bound, negative outside."
-    if len(rows) <= _MOST_LIMITS:
+    if len(rows) <= _MAX_LIMITS:
         return [text_table(caption, columns, rows, (2, 3, 4))]
     first = max(_CLOSEST, sum(m.outcome is not Outcome.PASS for m in order))
     rest = text_table("The other limits, all further from failing.", columns, rows[first:], (2, 3, 4))
@@ -126,7 +126,7 @@ def _limit_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cel
 def _others(measurements: Sequence[Measurement]) -> list[Table]:
     """Tables of what no limit judges, a few phases a table: more columns do not fit a page."""
     phases = list(dict.fromkeys(m.phase for m in measurements))
-    count = -(-len(phases) // _MOST_PHASES)
+    count = -(-len(phases) // _MAX_PHASES)
     parts = [phases[k * len(phases) // count : (k + 1) * len(phases) // count] for k in range(count)]
     return [_others_of([m for m in measurements if m.phase in part], part) for part in parts]
 
@@ -153,7 +153,7 @@ def _group_measurements(measurements: Sequence[Measurement]) -> dict[str, list[M
     groups: dict[str, list[Measurement]] = {}
     for m in measurements:
         words = metric_words(m.name)
-        separate = 1 < len(qualifiers[m.name]) <= _MOST_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
+        separate = 1 < len(qualifiers[m.name]) <= _MAX_QUALIFIERS or qualifiers[m.name] == {m.qualifier}
         title = f"{words} ({m.qualifier})" if m.qualifier and separate else words
         groups.setdefault(unit_column(title, m.unit), []).append(m)
     return groups

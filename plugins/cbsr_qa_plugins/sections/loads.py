@@ -38,7 +38,7 @@ from cbsr_qa.report.tables import (
 )
 
 #: A longer table is folded.
-_MOST_ROWS: Final = 60
+_MAX_ROWS: Final = 60
 _COLUMNS = (
     "Load", "Strain [%]", "Image [mm]", "Readings [mm]", "Contrast c [%]", "Radius [mm]", "A·c [mm²]", "d′",
 )  # fmt: skip
@@ -151,11 +151,11 @@ def _table(pairs: Sequence[tuple[LoadObservation, EstimatedLoad]], measured: Mea
         " readings do not determine the radius. d′: detectability."
     )
     table = text_table(caption, _COLUMNS, rows, tuple(range(1, len(_COLUMNS))))
-    return replace(table, folded=len(rows) > _MOST_ROWS)
+    return replace(table, folded=len(rows) > _MAX_ROWS)
 
 
 #: More images than this are not printed; they are in the store.
-_MOST: Final = 48
+_MAX_IMAGES: Final = 48
 
 
 class LoadImages(ObservedSection):
@@ -168,7 +168,7 @@ class LoadImages(ObservedSection):
         if not run.loads:
             return
         # First trials come first if there are too many: they cover every place and strain.
-        chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MOST]
+        chosen = sorted(run.loads, key=lambda load: load.record.load.trial)[:_MAX_IMAGES]
         printed = [load for load in run.loads if any(load is chosen_load for chosen_load in chosen)]
         seen = join_loads(printed, run, Measured(result.measurements))
         lost = sum(load.error_mm is None for load in seen)

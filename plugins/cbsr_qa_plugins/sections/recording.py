@@ -104,7 +104,7 @@ def _steps(result: RecordingResult) -> Table:
     return text_table(caption, ("Time [s]", "What", "Before", "After"), rows, (0, 2, 3))
 
 
-_MOST_IMAGES = 12
+_MAX_IMAGES = 12
 
 
 class RecordingEvents(RecordingSection):
@@ -207,7 +207,7 @@ def _image_table(events: Sequence[LoadEvent]) -> Table:
 
 def _images(result: RecordingResult) -> Figure:
     events, named = result.events, result.sensor_type
-    shown_events = events[:_MOST_IMAGES]
+    shown_events = events[:_MAX_IMAGES]
     sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
     # Images of an unnamed sensor may be in any unit.
     sheet = Disc(sheet_radius(shown_events[0].image.mesh)) if named is None else named.outline
@@ -250,7 +250,7 @@ def _timeline(result: RecordingResult) -> Figure | None:
     )
 
 
-_MOST_ROWS = 200
+_MAX_ROWS = 200
 
 
 class RecordingRows(RecordingSection):
@@ -262,7 +262,7 @@ class RecordingRows(RecordingSection):
         """Return notes, and the rows that were rejected or noted."""
         recording = result.recording
         yield from (Paragraph(f"{capital(note)}.", "note") for note in recording.notes)
-        shown_problems = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MOST_ROWS]
+        shown_problems = sorted(recording.problems, key=lambda p: (not p.rejected, p.line))[:_MAX_ROWS]
         if shown_problems:
             omitted = len(recording.problems) - len(shown_problems)
             cost = f", {plural(recording.frames_dropped, 'frame')} dropped" if recording.frames_dropped else ""

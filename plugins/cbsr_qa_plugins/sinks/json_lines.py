@@ -66,7 +66,11 @@ class JsonLines(WithOptions):
                     raise OSError("it is not a regular file")
                 fcntl.flock(file, fcntl.LOCK_EX)
                 status = os.fstat(file)
-                if _is_still(path, status):  # otherwise another run has renamed it meanwhile
+                try:
+                    has_its_name = os.path.samestat(path.stat(), status)
+                except FileNotFoundError:
+                    has_its_name = False
+                if has_its_name:  # otherwise another run has renamed it meanwhile
                     if not status.st_size or status.st_size + size <= self.options.largest_MB * 1e6:
                         return os.dup(file)
                     self._rotate(path)
@@ -80,13 +84,6 @@ class JsonLines(WithOptions):
                 newer.replace(older)
         if not old_files:
             path.unlink()
-
-
-def _is_still(path: Path, opened: os.stat_result) -> bool:
-    try:
-        return os.path.samestat(path.stat(), opened)
-    except FileNotFoundError:
-        return False
 
 
 def _append(file: int, lines: bytes) -> None:

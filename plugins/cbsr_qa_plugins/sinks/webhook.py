@@ -26,7 +26,7 @@ from cbsr_qa_plugins.sinks._options import EnvironmentVariable, Timeout, check_c
 #: Refusals that may end: of a token, an address or a rate. Other answers 400 to 499 would be the same again.
 _MAY_END: Final = (401, 403, 404, 407, 408, 425, 429)
 #: Bytes of an answer that are read [B].
-_LARGEST_ANSWER: Final = 65536
+_MAX_ANSWER_BYTES: Final = 65536
 
 
 def _url(text: str) -> str:
@@ -173,4 +173,4 @@ class Webhook(WithOptions):
 
 
 def _skip(answer: IO[bytes]) -> None:
-    answer.read(_LARGEST_ANSWER)
+    answer.read(_MAX_ANSWER_BYTES)
