@@ -71,7 +71,7 @@ class Fleet:
                 known: Known | None = None
                 if verdict.analysis and verdict.chain.chained:  # what the link of its values covers beside them
                     link_facts = facts(line, verdict.analysis, str(verdict.outcome), verdict.software)
-                    known = line.run, verdict.analysis, link_facts
+                    known = Known(line.run, verdict.analysis, link_facts)
                 link_contents.append(known)
                 runs.append(line)
             kinds, (run, kind, value, state) = _values(connection, chosen, places, link_contents)

@@ -45,11 +45,12 @@ class Soundness:
             yield problem
             return
         with reading(self._engine) as connection:
-            for number, row in enumerate(connection.exec_driver_sql("PRAGMA foreign_key_check")):
+            missing = connection.exec_driver_sql("PRAGMA foreign_key_check")
+            for number, (table, row_id, referred_table, _) in enumerate(missing):
                 if number >= _MAX_NAMED:
                     yield "more rows refer to rows that are missing"
                     return
-                yield f"{_row(connection, row[0], row[1])} refers to a row of {row[2]} that is missing"
+                yield f"{_row(connection, table, row_id)} refers to a row of {referred_table} that is missing"
 
     def find_order_problems(self) -> tuple[tuple[begun.Gap, ...], tuple[str, ...]]:
         """Return the runs that are missing between others, and explanations of gaps and doubled places.

@@ -4,7 +4,7 @@ import hashlib
 import json
 from dataclasses import dataclass
 from time import monotonic
-from typing import Any, Final, Self
+from typing import Any, Final, NamedTuple, Self
 from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
@@ -131,9 +131,10 @@ def step_words(snapshot: Snapshot) -> str:
     if control is None:
         return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
     press = "live.next_press" if control.next else "live.press"
-    press_text = text(press, number=control.number, of=control.of) if control.number else ""
-    # A pause begins before a step, which is then not under way.
-    return " · ".join(filter(None, [press_text, "" if control.paused_by is not None else control.step]))
+    words = [text(press, number=control.number, of=control.of)] if control.number else []
+    if control.paused_by is None and control.step:  # a pause begins before a step, which is then not under way
+        words.append(control.step)
+    return " · ".join(words)
 
 
 def phase_words(snapshot: Snapshot) -> str:
@@ -224,6 +225,14 @@ def _environment() -> Environment:
     return environment
 
 
+class _Rendered(NamedTuple):
+    """Parts as they were rendered from a snapshot, with the trouble of the store at that time."""
+
+    snapshot: Snapshot | None
+    trouble: str
+    parts: list[Part]
+
+
 class Pages:
     """Renders pages and parts of a line; a part is rendered once for all viewers."""
 
@@ -232,8 +241,8 @@ class Pages:
         self._environment = _environment()
         for template in self._environment.list_templates(extensions=["j2"]):
             self._environment.get_template(template)  # compiled before a run is watched
-        self._rendered: dict[str, tuple[Snapshot | None, str, list[Part]]] = {}
-        self._cards: dict[str, tuple[Snapshot | None, Part]] = {}
+        self._rendered: dict[str, _Rendered] = {}
+        self._cards: dict[str, _Rendered] = {}
 
     def page(self, template: str, *, control: bool, here: str = "", stream: str = "", **names: Any) -> str:
         """Render a whole page."""
@@ -275,19 +284,18 @@ class Pages:
     def _card(self, place: str, name: str) -> Part:
         snapshot = self._line.stations[name].snapshot
         cached = self._cards.get(name)
-        if cached is None or cached[0] is not snapshot:
-            cached = snapshot, Part.from_html(place, self.fragment("card", s=snapshot, name=name))
-            self._cards[name] = cached
-        return cached[1]
+        if cached is None or cached.snapshot is not snapshot:
+            card = Part.from_html(place, self.fragment("card", s=snapshot, name=name))
+            cached = self._cards[name] = _Rendered(snapshot, "", [card])
+        return cached.parts[0]
 
     def station_parts(self, name: str) -> list[Part]:
         """Return the parts of a station's page; the part that contains others comes first."""
         snapshot, trouble = self._line.stations[name].snapshot, self._line.trouble
         cached = self._rendered.get(name)
-        if cached is None or cached[0] is not snapshot or cached[1] != trouble:
-            cached = snapshot, trouble, self._station_parts(name, snapshot, trouble)
-            self._rendered[name] = cached
-        return cached[2]
+        if cached is None or cached.snapshot is not snapshot or cached.trouble != trouble:
+            cached = self._rendered[name] = _Rendered(snapshot, trouble, self._station_parts(name, snapshot, trouble))
+        return cached.parts
 
     def _station_parts(self, name: str, snapshot: Snapshot | None, trouble: str) -> list[Part]:
         names = self._names(name)

@@ -29,7 +29,7 @@ class StartForm:
             operator=validate_operator(form.get("operator", "")),
             batch=validate_batch(form.get("batch", "")),
             override=Override(
-                tuple(filter(None, form.get("override", "").split())),
+                tuple(form.get("override", "").split()),
                 form.get("override_by", ""),
                 form.get("override_why", ""),
             ).validate(),

@@ -4,7 +4,7 @@ from array import array
 from collections import defaultdict
 from collections.abc import Iterator, Sequence
 from itertools import repeat
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 import numpy as np
 from sqlalchemy import ColumnElement, Connection, Double, Executable, Select, Text, select, type_coerce
@@ -26,8 +26,12 @@ _ROWS_AT_ONCE: Final = 200
 _REREAD_ANALYSES: Final = 500
 
 
-#: Run, analysis and facts.
-Known = tuple[str, str, str]
+class Known(NamedTuple):
+    """An analysis whose link is known; ``facts`` are what the link covers beside the measurements."""
+
+    run: str
+    analysis: str
+    facts: str
 
 
 class Figures:
@@ -86,20 +90,20 @@ def check_figures(
     m = MeasurementRow
     for first in range(0, len(unlike), _REREAD_ANALYSES):
         batch = unlike[first : first + _REREAD_ANALYSES]
-        places = {analysis: place for place, (_, analysis, _) in enumerate(batch)}
+        places = {known_analysis.analysis: place for place, known_analysis in enumerate(batch)}
         # PostgreSQL fills gaps, so that rows of an analysis may come in another order than they were stored in.
         in_order = figures_query().where(m.analysis.in_(list(places))).order_by(m.analysis, m.number)
-        for run, _, _ in _unlike(batch, Figures(connection, in_order, places), linked):
-            check_run(connection, run)  # raises, naming the row
+        for altered in _unlike(batch, Figures(connection, in_order, places), linked):
+            check_run(connection, altered.run)  # raises, naming the row
 
 
 def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, tuple[str, str]]) -> list[Known]:
-    texts = ["" if one is None else one[2] for one in known]
+    texts = ["" if analysis is None else analysis.facts for analysis in known]
     digests = contents(texts, figures.place, figures.said, figures.value, figures.sayings)
     return [
-        one
-        for one, content in zip(known, digests, strict=True)
-        if one is not None and linked.get(one[1]) != (one[0], content)
+        analysis
+        for analysis, content in zip(known, digests, strict=True)
+        if analysis is not None and linked.get(analysis.analysis) != (analysis.run, content)
     ]
 
 

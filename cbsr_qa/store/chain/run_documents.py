@@ -267,10 +267,11 @@ def figures_digest(connection: Connection, analysis: str) -> str:
     run = connection.execute(query).one()
     rows = select(m.value, words(), m.lower_limit, m.upper_limit).where(m.analysis == analysis).order_by(m.number)
     measurements = connection.execute(rows).all()
-    value = np.array([cells[0] for cells in measurements], dtype=np.float64)
+    value = np.array([number for number, *_ in measurements], dtype=np.float64)
     said = np.arange(len(measurements), dtype=np.int32)
     known = facts(run, analysis, run.outcome, run.software)
-    return next(contents([known], 0 * said, said, value, [(cells[1], cells[2], cells[3]) for cells in measurements]))
+    sayings = [(text, lower, upper) for _, text, lower, upper in measurements]
+    return next(contents([known], 0 * said, said, value, sayings))
 
 
 def _sha256(text: str) -> Any:

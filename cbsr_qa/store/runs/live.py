@@ -211,10 +211,11 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
         begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
         session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
         issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
+        moments = session_at or verdict.values["started_at"], verdict.analysed_at
         return fill_from_mapping(
             RunLook,
             verdict.values,
-            worked_at=max(filter(None, (session_at or verdict.values["started_at"], verdict.analysed_at))),
+            worked_at=max(moment for moment in moments if moment),
             end=verdict.end,
             detail=verdict.end_detail,
             outcome=verdict.outcome,

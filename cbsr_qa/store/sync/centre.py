@@ -99,7 +99,7 @@ def _read_tails(engine: Engine, runs: Sequence[str]) -> dict[str, Tail | None]:
     with reading(engine) as connection:
         rows = connection.execute(query).all()
     return {
-        row.run: None if row.chain is None else NOTHING if row.number is None else (row.number, row.sha256)
+        row.run: None if row.chain is None else NOTHING if row.number is None else Tail(row.number, row.sha256)
         for row in rows
     }
 

@@ -4,7 +4,7 @@ from collections import defaultdict
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
 from types import SimpleNamespace
-from typing import Any, Final
+from typing import Any, Final, NamedTuple
 
 from sqlalchemy import Connection, Row, Table, case, func, literal, select
 
@@ -41,9 +41,17 @@ _CHECKED: Final[Mapping[str, Any]] = {
     CalibrationRow.__tablename__: check_files,
 }
 _BLOCK_TABLES: Final = (FrameBlockRow.__tablename__, SampleBlockRow.__tablename__)
-#: Where a run stands at the centre: number and digest of its last link.
-Tail = tuple[int, str]
-NOTHING: Final[Tail] = (-1, "")
+
+
+class Tail(NamedTuple):
+    """Where a run stands at the centre: number and digest of its last link."""
+
+    number: int
+    sha256: str
+
+
+#: Tail of a run of which the centre has nothing.
+NOTHING: Final = Tail(-1, "")
 
 
 class AlteredError(StoreError):
@@ -82,7 +90,7 @@ class Parcel:
     def tail(self) -> Tail:
         """Where the run stands at the centre with this parcel; only of a chained run."""
         last: Any = self.rows[LinkRow.__tablename__][-1]
-        return last.number, last.sha256.hex()
+        return Tail(last.number, last.sha256.hex())
 
     @property
     def row_count(self) -> int:
@@ -154,7 +162,7 @@ def newest_link(connection: Connection, run: str) -> Tail:
     """Return number and digest of the last link of a run; :data:`NOTHING` without one."""
     query = select(LinkRow.number, LinkRow.sha256).where(LinkRow.run == run)
     newest = connection.execute(query.order_by(LinkRow.number.desc()).limit(1)).one_or_none()
-    return NOTHING if newest is None else (newest.number, newest.sha256)
+    return NOTHING if newest is None else Tail(newest.number, newest.sha256)
 
 
 def read_unchained(connection: Connection, run: str, centre: Mapping[tuple[str, str], str]) -> Parcel:

@@ -201,7 +201,7 @@ def _describe_loss(entry: Entry, tail: Tail | None) -> str:
         return f"the centre had confirmed it and did not have it{_OR_ANOTHER}"
     if tail is None:  # without a chain: nothing counts its parts
         return f"the centre had confirmed it and lacked rows of it{_OR_ANOTHER}"
-    had = tail[0] + 1
+    had = tail.number + 1
     return (
         "" if had >= entry.sent else f"the centre had confirmed {entry.sent} links of it and had {had}{_OR_ANOTHER}"
     )
@@ -236,15 +236,15 @@ def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None,
         return
     if tail is None:
         raise AlteredError(f"run {run} has a chain here and none at the centre")
-    if tail[0] > newest[0]:  # this database is an older copy of the one that sent the run
-        if (stored := link_at(centre, run, newest[0])) != newest[1]:
-            raise AlteredError(f"link {newest[0]} of run {run} differs from the centre's", newest[1], stored)
+    if tail.number > newest.number:  # this database is an older copy of the one that sent the run
+        if (stored := link_at(centre, run, newest.number)) != newest.sha256:
+            raise AlteredError(f"link {newest.number} of run {run} differs from the centre's", newest.sha256, stored)
         compare_run(station, centre, run)
         sent.compared += 1
-        confirm(station, entry, newest[0] + 1, more=False)
+        confirm(station, entry, newest.number + 1, more=False)
         why = (
-            f"the centre has {tail[0] - newest[0]} links more of run {run}: rows were added there, or this database"
-            " is an older copy of the one that sent them"
+            f"the centre has {tail.number - newest.number} links more of run {run}: rows were added there, or this"
+            " database is an older copy of the one that sent them"
         )
         sent.added.append(Added(run, why))
         return

@@ -222,7 +222,7 @@ def check_example(plugins: Plugins, kind: Kind, name: str, answer: list[Example]
         options_of(factory, handed=int(kind in (Kind.EFFECT, Kind.INSTRUMENT))).read(example.options)
     except ConfigError as error:
         example.close()
-        raise AssertionError("; ".join(filter(None, (error.reason, error.remedy)))) from error
+        raise AssertionError(f"{error.reason}; {error.remedy}" if error.remedy else error.reason) from error
     answer.append(example)
     return Checked("example", f"options {dict(example.options)}" if example.options else "default options")
 

@@ -93,9 +93,12 @@ def _mean(qualifier: str, members: list[RelaxationObservation]) -> Measurement:
 
 
 def _common(qualifier: str, members: list[_Member], run: RunObservation) -> Measurement:
-    traced = [member for member in members if len(member[1].trace.values) >= _MIN_POINTS]
+    traced = [(load, seen) for load, seen in members if len(seen.trace.values) >= _MIN_POINTS]
     starts = [0 if seen.loading else relaxation_start(seen.trace.values) for _, seen in traced]
-    traces = [(s.trace.time_s[start:], s.trace.values[start:]) for (_, s), start in zip(traced, starts, strict=True)]
+    traces = [
+        (seen.trace.time_s[start:], seen.trace.values[start:])
+        for (_, seen), start in zip(traced, starts, strict=True)
+    ]
     common = fit_common_relaxation(traces)
     # Where the first fit behind a spike begins; 0 where any trace has no spike.
     earliest_s = min(float(time_s[0]) for time_s, _ in traces) if starts and all(starts) else 0.0

@@ -57,7 +57,7 @@ def _facts(result: RecordingResult) -> Table:
         ("Drift", "" if noise.drift_per_min is None else f"{number(noise.drift_per_min)} {unit}/min"),
         ("Readings beyond six times the noise", _format_value(noise.outliers or None, 2, " %", 100)),
     )
-    rows = [fact for fact in facts if fact[1]]
+    rows = [(quantity, value) for quantity, value in facts if value]
     return text_table("Channels and noise.", ("Quantity", "Value"), rows, (1,))
 
 
