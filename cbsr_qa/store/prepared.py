@@ -24,12 +24,14 @@ class Prepared:
         compiled: Any = statement.compile(dialect=dialect, column_keys=list(names) or None)
         self._text = str(compiled)
         self._dialect = dialect
-        binds = {name: compiled.binds[one.key] for one, name in compiled.bind_names.items()}
-        self._fixed = {name: one.value for name, one in binds.items() if not one.required}
-        self._given = [(name, one.type.dialect_impl(dialect).bind_processor(dialect)) for name, one in binds.items()]
+        binds = {name: compiled.binds[bind.key] for bind, name in compiled.bind_names.items()}
+        self._fixed = {name: bind.value for name, bind in binds.items() if not bind.required}
+        self._converters = [
+            (name, bind.type.dialect_impl(dialect).bind_processor(dialect)) for name, bind in binds.items()
+        ]
         self._order: Sequence[str] | None = compiled.positiontup if dialect.positional else None
         columns = statement.selected_columns if isinstance(statement, Select) else ()
-        self._types = [one.type.dialect_impl(dialect) for one in columns]
+        self._types = [column.type.dialect_impl(dialect) for column in columns]
 
     def execute(self, connection: Connection, rows: Sequence[Mapping[str, Any]]) -> None:
         """Insert rows. Raises what :meth:`Connection.execute` raises."""
@@ -53,7 +55,7 @@ class Prepared:
     def _values(self, row: Mapping[str, Any]) -> Any:
         cells = {**self._fixed, **row}
         try:
-            values = {name: _through(convert, cells[name]) for name, convert in self._given}
+            values = {name: _through(convert, cells[name]) for name, convert in self._converters}
         except (TypeError, ValueError) as error:
             raise StatementError(str(error), self._text, None, error) from error
         return values if self._order is None else [values[name] for name in self._order]

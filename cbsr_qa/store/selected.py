@@ -47,9 +47,9 @@ def _first_unreadable(
     """Find the first run that cannot be read, by bisection."""
     runs = list(connection.scalars(select(RunRow.run).where(*chosen).order_by(RunRow.run)))
 
-    def fails(some: Sequence[str]) -> bool:
+    def fails(runs_tried: Sequence[str]) -> bool:
         try:
-            read(connection, [*chosen, RunRow.run.between(some[0], some[-1])])
+            read(connection, [*chosen, RunRow.run.between(runs_tried[0], runs_tried[-1])])
         except _UNREADABLE:
             return True
         return False

@@ -58,7 +58,7 @@ class StationWatch:
         self.failure: Exception | None = None
         self._due, self._next_s, self._look_s, self._links = True, 0.0, 0.0, -1
         self._health, self._healthy, self._health_s = "", True, 0.0
-        self._said = ""
+        self._reported = ""
 
     @property
     def busy(self) -> bool:
@@ -106,7 +106,7 @@ class StationWatch:
         mode = mode_of(control, self.look, held=holder is not None, starting=self._alive, begun=self._begun)
         trouble = read_trouble or self._follow(store, plugins, mode)
         if not trouble:
-            self._said = ""
+            self._reported = ""
         live = None if self.live is None else self.live.view("" if control is None else control.place)
         silent_s = None if live is None else live.silent_s
         if not trouble and mode is Mode.RUNNING and silent_s is not None and silent_s >= SILENT_S:
@@ -156,9 +156,9 @@ class StationWatch:
         """Return a failure in words; a new one is logged."""
         is_own_error = isinstance(error, CbsrError)
         words = error.reason if isinstance(error, CbsrError) else text("trouble.unforeseen", error=repr(error)[:200])
-        if words != self._said:
+        if words != self._reported:
             LOG.warning("%s: %s", self.served.name, words, exc_info=None if is_own_error else error)
-        self._said = words
+        self._reported = words
         return words
 
     def _describe_refusal(self) -> str:

@@ -90,8 +90,8 @@ def _insert(connection: Connection, table: Any, rows: Sequence[Mapping[str, Any]
 
 #: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
 OF_A_SESSION: Final = frozenset(
-    one.__tablename__
-    for one in (PhaseRow, StepRow, FrameBlockRow, SampleBlockRow, LoadRow, UnloadedMarkRow, AttendanceRow)
+    table_row.__tablename__
+    for table_row in (PhaseRow, StepRow, FrameBlockRow, SampleBlockRow, LoadRow, UnloadedMarkRow, AttendanceRow)
 )
 
 _NEWEST: Final = (

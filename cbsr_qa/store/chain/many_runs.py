@@ -90,7 +90,8 @@ def read_rows(connection: Connection, kind: type[Base], runs: Sequence[str]) -> 
     rows = connection.execute(query).all()
     own, *cells = zip(*rows, strict=True) if rows else [()] * (len(list_covered(table)) + 1)
     columns = {
-        column.name: _convert_cells(column, some) for column, some in zip(list_covered(table), cells, strict=True)
+        column.name: _convert_cells(column, column_cells)
+        for column, column_cells in zip(list_covered(table), cells, strict=True)
     }
     return ReadRows(table, own, columns)
 

@@ -80,10 +80,11 @@ class RunArchives:
             .order_by(run.run)
         )
         with reading(self._engine) as connection:
-            found = [
-                ArchivedRun(one, serial, int(n), int(size)) for one, serial, n, size in connection.execute(query)
+            runs = [
+                ArchivedRun(run_id, serial, int(n), int(size))
+                for run_id, serial, n, size in connection.execute(query)
             ]
-            return tuple(one for one in found if _has_passed(connection, one, before))
+            return tuple(run for run in runs if _has_passed(connection, run, before))
 
     def choose_folder(self, to: Path | None) -> Path:
         """Return the folder of new archives: by default beside a SQLite file, or the root of a server's archives.

@@ -87,8 +87,8 @@ def _free_number(connection: Connection) -> int:
     if last is None:
         return 0
     following, next_number = aliased(RunBegunRow), cast(_NUMBER, BigInteger) + 1
-    taken = exists().where(type_coerce(following.number, NullType()) == next_number)
-    free = select(func.min(next_number)).where(last <= _NUMBER, ~taken)
+    next_is_taken = exists().where(type_coerce(following.number, NullType()) == next_number)
+    free = select(func.min(next_number)).where(last <= _NUMBER, ~next_is_taken)
     return int(connection.execute(free).scalar_one())
 
 

@@ -246,7 +246,7 @@ class Journal:
     def _(self, event: LoadFinished, connection: Connection) -> None:
         times = asdict(event.record)
         load = times.pop("load")
-        times["eased"] = [[one.strain, one.start_s, one.hold_start_s] for one in event.record.eased] or None
+        times["eased"] = [[step.strain, step.start_s, step.hold_start_s] for step in event.record.eased] or None
         values = {"run": self._run, "phase": event.phase, "load_index": times.pop("index"), **load, **times}
         add_rows(connection, self._run, LoadRow, [values])
 

@@ -253,19 +253,20 @@ class Runs:
             if run_row(connection, run_or_serial) is not None:
                 return run_or_serial
             latest = select(RunRow.run).where(RunRow.serial == run_or_serial).order_by(RunRow.run.desc()).limit(1)
-            found = connection.scalar(latest)
-            later = {} if found is None else find_altered_outside(connection, [RunRow.run > found], ())
+            latest_run = connection.scalar(latest)
+            later = {} if latest_run is None else find_altered_outside(connection, [RunRow.run > latest_run], ())
         for problem in later.values():
             raise StoreError(
                 f"{problem}; it may be a later run of sensor {run_or_serial}",
-                remedy=f"restore the database from a copy, or name the run that is meant: the one before is {found}",
+                remedy="restore the database from a copy, or name the run that is meant: the one before is"
+                f" {latest_run}",
             )
-        if found is None:
+        if latest_run is None:
             raise StoreError(
                 f"there is no run and no sensor {run_or_serial[:64]!r} in this database",
                 remedy="cbsr-qa db status shows the database in use; --database selects another",
             )
-        return str(found)
+        return str(latest_run)
 
 
 def _find_run(connection: Connection, run: str) -> Row[Any]:

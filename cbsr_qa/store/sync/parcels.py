@@ -31,7 +31,7 @@ MOST_BYTES: Final = 16_000_000
 #: More links than anything that is stored at once has, and the kinds of links with which it begins.
 _MAX_LINKS_AT_ONCE: Final = 64
 _BEGINS: Final = OF_A_SESSION | {
-    *(one.__tablename__ for one in (PhaseEndRow, AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
+    *(model.__tablename__ for model in (PhaseEndRow, AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
 }
 
 #: Checks of the bytes of rows, which no digest of its document covers.
@@ -139,10 +139,10 @@ def _read_parcel(connection: Connection, run: str, tail: Tail, archives: Archive
         raise AlteredError(f"link {number} of run {run} differs from the centre's", own, sha256)
     links = _links(connection, run, number)
     _check_chain(run, links, number, sha256, checking_key(connection, head.chain))
-    wanted = defaultdict[str, dict[str, str]](dict)
+    digests = defaultdict[str, dict[str, str]](dict)
     for _, _, kind, document, content, *_ in links:
-        wanted[kind][document] = content.hex()
-    rows = dict(_read_rows(connection, run, wanted, archives))
+        digests[kind][document] = content.hex()
+    rows = dict(_read_rows(connection, run, digests, archives))
     rows[LinkRow.__tablename__] = links
     version = links[-1].number + 1 if links else number + 1
     whole = version == newest + 1
@@ -178,7 +178,7 @@ def read_unchained(connection: Connection, run: str, centre: Mapping[tuple[str, 
         If the centre has other documents of it.
     """
     head = connection.execute(select(RunRow.station, RunRow.serial).where(RunRow.run == run)).one()
-    wanted: dict[str, dict[str, str]] = {}
+    digests: dict[str, dict[str, str]] = {}
     own = {(kind, key): content for kind, key, content in digest_documents(connection, run)}
     for place, content in centre.items():
         if own.get(place) != content:
@@ -187,8 +187,8 @@ def read_unchained(connection: Connection, run: str, centre: Mapping[tuple[str, 
             )
     for (kind, key), content in own.items():
         if (kind, key) not in centre:
-            wanted.setdefault(kind, {})[key] = content
-    rows = dict(_read_rows(connection, run, wanted, Archives()))
+            digests.setdefault(kind, {})[key] = content
+    rows = dict(_read_rows(connection, run, digests, Archives()))
     return Parcel(
         run,
         head.station,
@@ -253,14 +253,14 @@ def _check_chain(run: str, links: Sequence[Any], number: int, before: str, key: 
 
 
 def _read_rows(
-    connection: Connection, run: str, wanted: Mapping[str, Mapping[str, str]], archives: Archives
+    connection: Connection, run: str, digests: Mapping[str, Mapping[str, str]], archives: Archives
 ) -> Iterator[tuple[str, Sequence[Sequence[Any]]]]:
     """Yield table and rows of documents, whose digests match."""
     for table in tables():
-        contents = wanted.get(table.name)
+        contents = digests.get(table.name)
         if contents:
             yield table.name, _rows(connection, run, table, contents, archives)
-    for analysis, content in wanted.get(FIGURES, {}).items():
+    for analysis, content in digests.get(FIGURES, {}).items():
         stored = figures_digest(connection, analysis)
         if stored != content:
             raise _unlike(run, FIGURES, analysis, stored, content)

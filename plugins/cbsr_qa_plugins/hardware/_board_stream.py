@@ -60,16 +60,16 @@ class BoardStream(ABC):
 
     def restart(self) -> None:
         """Forget what has come: bytes were thrown away, and what comes next may begin anywhere in a frame."""
-        self._held = b""
-        self._any = self._lost = False
+        self._buffer = b""
+        self._has_frame = self._follows_loss = False
 
     def _spoil(self) -> None:
         """Note that bytes belong to no whole frame; those before the first frame cost none."""
-        self._lost = self._any
+        self._follows_loss = self._has_frame
 
     def _whole(self, counts: Counts) -> BoardFrame:
-        frame = BoardFrame(counts, self._lost)
-        self._any, self._lost = True, False
+        frame = BoardFrame(counts, self._follows_loss)
+        self._has_frame, self._follows_loss = True, False
         return frame
 
 
@@ -92,16 +92,16 @@ class BinaryStream(BoardStream):
 
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
-        self._held += data
+        self._buffer += data
         frames: list[BoardFrame] = []
         while self._locked or self._synchronise():
-            if len(self._held) < self._bytes:
+            if len(self._buffer) < self._bytes:
                 break
-            if not self._fits(self._held, 0):
+            if not self._fits(self._buffer, 0):
                 self._locked = False
                 continue
-            frames.append(self._whole(self._counts(self._held)))
-            self._held = self._held[self._bytes :]
+            frames.append(self._whole(self._counts(self._buffer)))
+            self._buffer = self._buffer[self._bytes :]
         return frames
 
     def restart(self) -> None:
@@ -110,12 +110,12 @@ class BinaryStream(BoardStream):
 
     def _synchronise(self) -> bool:
         """Find the start of a frame, and drop bytes before it."""
-        held = self._held
-        start = next((k for k in range(len(held) - self._bytes + 1) if self._fits(held, k)), None)
+        received = self._buffer
+        start = next((k for k in range(len(received) - self._bytes + 1) if self._fits(received, k)), None)
         if start is None:
-            self._drop(max(len(held) - self._bytes + 1, 0))
+            self._drop(max(len(received) - self._bytes + 1, 0))
             return False
-        if np.isin(self._counts(held, start), _MARKS_AS_COUNTS).any():
+        if np.isin(self._counts(received, start), _MARKS_AS_COUNTS).any():
             undoubted = self._find_unique_start(start)
             if undoubted is None:
                 return False
@@ -128,9 +128,9 @@ class BinaryStream(BoardStream):
         """Return the only start within a round that keeps fitting; None if more bytes are needed."""
         candidates = list(range(start, start + self._bytes))
         for number in range(_MAX_ROUNDS):
-            if len(self._held) < start + (number + 2) * self._bytes - 1:
+            if len(self._buffer) < start + (number + 2) * self._bytes - 1:
                 return None
-            candidates = [k for k in candidates if self._fits(self._held, k + number * self._bytes)]
+            candidates = [k for k in candidates if self._fits(self._buffer, k + number * self._bytes)]
             if len(candidates) < 2:
                 break
         return candidates[0] if candidates else start
@@ -138,7 +138,7 @@ class BinaryStream(BoardStream):
     def _drop(self, count: int) -> None:
         if count:
             self._spoil()
-            self._held = self._held[count:]
+            self._buffer = self._buffer[count:]
 
     def _fits(self, data: bytes, start: int) -> bool:
         end = start + self._bytes
@@ -167,10 +167,10 @@ class TextStream(BoardStream):
 
     def feed(self, data: bytes) -> list[BoardFrame]:
         """Take what has come, and return the frames that are whole by now."""
-        *lines, self._held = (self._held + data).split(b"\n")
-        if len(self._held) > _MAX_NUMBER_LENGTH * (self._pairs + 1):
+        *lines, self._buffer = (self._buffer + data).split(b"\n")
+        if len(self._buffer) > _MAX_NUMBER_LENGTH * (self._pairs + 1):
             self._spoil_frame()
-            self._held = b""
+            self._buffer = b""
         return [frame for line in lines if (frame := self._line(line)) is not None]
 
     def restart(self) -> None:

@@ -85,7 +85,7 @@ class MarlinAxes:
         self._fail = fail
         self._homed_at: int | None = None
         self._lifted_at: int | None = None
-        self._at: Position | None = None  # confirmed position; None until checked
+        self._position: Position | None = None  # confirmed position; None until checked
         self._stops = 0
         self._allowed_stops = 0
 
@@ -112,7 +112,7 @@ class MarlinAxes:
         """Find the end stops: first upwards, out of a sheet the head may be in."""
         if self._link.down:
             self._link.reopen()
-        self._at = None
+        self._position = None
         for line in self._lifting():
             self._link.command(line)
         self._lifted_at = self._link.restarts
@@ -127,17 +127,17 @@ class MarlinAxes:
         # Named axes: a plain G28 levels the mesh as well on a Prusa, tapping where the sheet lies.
         self._link.command("G28 X Y Z")
         self._check_not_stopped()
-        self._homed_at, self._at = self._link.restarts, None
+        self._homed_at, self._position = self._link.restarts, None
 
     def final_position(self) -> Position:
         """Return the position after all motions; target and live position must agree."""
-        if self._at is None:
+        if self._position is None:
             self._link.command("M400")
             target, live = self._report()
             if math.dist(target, live) > _THERE_MM:
                 raise self._fail(f"it stands at {_words(live)} and means to be at {_words(target)}", _LOOK)
-            self._at = live
-        return self._at
+            self._position = live
+        return self._position
 
     def live(self) -> Position:
         """Return the present position."""
@@ -163,7 +163,7 @@ class MarlinAxes:
                 look(live)
         self._link.command("M400")
         self._check_arrived(goal)
-        self._at = goal
+        self._position = goal
 
     def stop_and_lift(self) -> None:
         """Stop at once and begin to lift; returns before the head is up. May be called from any thread, repeatedly.
@@ -173,7 +173,7 @@ class MarlinAxes:
         printer does not say that it does.
         """
         self._stops += 1
-        self._at = None
+        self._position = None
         with self._link.alone(_PATIENCE_S) as mine:
             if not mine:
                 self._link.shout(*self._stopping())
@@ -206,7 +206,7 @@ class MarlinAxes:
 
     def _stop_and_lift(self) -> None:
         lines = self._stopping()
-        self._at = None
+        self._position = None
         for line in lines or ["M114"]:  # without commands, it must still answer
             self._link.command(line)
         self._lifted_at = self._link.restarts
@@ -236,7 +236,7 @@ class MarlinAxes:
                 raise self._fail("another command hangs", _LOOK)
             self._check_not_stopped()
             began_s = self._clock.now()
-            self._at = None
+            self._position = None
             self._link.command(f"G1 X{x:.4f} Y{y:.4f} Z{z:.4f} F{60 * speed_mm_s:.6g}")
         return began_s
 

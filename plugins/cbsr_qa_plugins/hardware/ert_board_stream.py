@@ -86,7 +86,7 @@ class ErtBoardStream(DriverBase):
         )
         self._ready: deque[tuple[float, BoardFrame]] = deque()
         self._read_s = -math.inf
-        self._heard = self._waits = 0
+        self._received_bytes = self._waits = 0
         self._down = False
         #: Frames lost within calls, and between calls that follow at once.
         self.frames_lost = 0
@@ -111,8 +111,8 @@ class ErtBoardStream(DriverBase):
         """
         with self._recover_link():
             self._drain()
-            asked_s, self._heard = self._clock.now(), 0
-            while not self._heard:
+            asked_s, self._received_bytes = self._clock.now(), 0
+            while not self._received_bytes:
                 self._check_patience(asked_s)
                 self._receive()
 
@@ -151,7 +151,7 @@ class ErtBoardStream(DriverBase):
 
     def _read_frame(self, since_s: float) -> tuple[float, BoardFrame]:
         """Return the next frame that began after a time, with the time of its end."""
-        asked_s, self._heard = self._clock.now(), 0
+        asked_s, self._received_bytes = self._clock.now(), 0
         while True:
             while self._ready:
                 end_s, frame = self._ready.popleft()
@@ -177,7 +177,7 @@ class ErtBoardStream(DriverBase):
             self._clock.sleep((1 + self._waits) * _WAITED_ROWS * self._row_s)
             data = self._read_pending()
         self._waits = 0 if data else self._waits + 1
-        self._heard += len(data)
+        self._received_bytes += len(data)
         frames = self._stream.feed(data)
         now_s = self._clock.now()
         self._ready.extend(
@@ -248,7 +248,7 @@ class ErtBoardStream(DriverBase):
         after_s = self._clock.now() - asked_s
         if after_s <= _SILENT_PERIODS * self._period_s + _SILENT_S:
             return
-        received = f"{self._heard} bytes, but no whole frame," if self._heard else "nothing"
+        received = f"{self._received_bytes} bytes, but no whole frame," if self._received_bytes else "nothing"
         text = f"A and {self._pairs} lines of {self._pairs} counts"
         expected = text if self._text else f"frames of {binary_frame_bytes(self._pairs)} bytes"
         raise self._error(

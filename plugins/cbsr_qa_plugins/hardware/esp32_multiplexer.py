@@ -96,7 +96,7 @@ class Esp32Multiplexer(DriverBase):
         self._lock = threading.RLock()
         self._in_step = False
         #: Index of the connected combination; None if a query is needed.
-        self._at: int | None = None
+        self._position: int | None = None
         self._link = SerialLink(self._role, options.address, baud=options.baud, timeout_s=options.timeout_s)
         with close_on_error(self._link):
             self._await_boot()
@@ -117,7 +117,7 @@ class Esp32Multiplexer(DriverBase):
     def alive(self) -> None:
         """Check that its combination is unchanged. InstrumentError if it does not answer, or has restarted."""
         with self._talking():
-            before = self._at
+            before = self._position
             if self._ask_position() != before and before is not None:
                 raise self._error("it has been restarted: it is not where it was left", retryable=True)
 
@@ -196,7 +196,7 @@ class Esp32Multiplexer(DriverBase):
             self._check_counter(self._ask_position())
             self._step_to_start()
             self._step_once()
-            expected, reached = self._at, self._ask_position()
+            expected, reached = self._position, self._ask_position()
             if reached != expected:
                 (drive, measure), declared = self._order[reached], self._order[1]
                 raise self._error(
@@ -207,7 +207,7 @@ class Esp32Multiplexer(DriverBase):
 
     def _step_to_start(self) -> bool:
         """Step on to the first combination; false if already there."""
-        position = self._ask_position() if self._at is None else self._at
+        position = self._ask_position() if self._position is None else self._position
         if position == 0:
             return False
         for _ in range(len(self._order) - position):
@@ -242,7 +242,7 @@ class Esp32Multiplexer(DriverBase):
             self._in_step = True
 
     def _recover(self) -> None:
-        self._at = None
+        self._position = None
         with suppress(InstrumentError):
             self._ask_position(late=True)
             return
@@ -257,7 +257,7 @@ class Esp32Multiplexer(DriverBase):
             self._time.sleep(_LOOK_AGAIN_S)
 
     def _step_once(self) -> None:
-        before, self._at = self._at, None
+        before, self._position = self._position, None
         self._forget()
         self._link.write(b"i")
         echo = self._link.read(1)
@@ -266,7 +266,7 @@ class Esp32Multiplexer(DriverBase):
             echo = self._link.read(1)
         if echo != b"i":
             raise self._error(f"echoed {echo!r} to 'i'", retryable=True)
-        self._at = None if before is None else (before + 1) % len(self._order)
+        self._position = None if before is None else (before + 1) % len(self._order)
 
     def _forget(self) -> None:
         """Discard unrequested output, including the rest of a log line."""
@@ -295,8 +295,8 @@ class Esp32Multiplexer(DriverBase):
                 remedy="a multiplexer with the command firmware is expected; check address and firmware",
                 retryable=True,
             )
-        self._at = self._index(connection)
-        return self._at
+        self._position = self._index(connection)
+        return self._position
 
     def _line(self, timeout_s: float) -> bytes:
         """Return the next line, or nothing after a timeout."""

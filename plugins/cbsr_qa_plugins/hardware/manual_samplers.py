@@ -97,7 +97,7 @@ class ReadingOptions(PluginOptions):
 
 
 class HandRead(DriverBase):
-    """Asks for a reading when one is due, and samples nothing in between. ``what``: is read, for messages."""
+    """Asks for a reading when one is due, and samples nothing in between. ``what``: name of the instrument that is read, for messages."""
 
     channel: str
     unit: str
@@ -186,15 +186,15 @@ class ManualLoadCell(HandRead):
 
     def __init__(self, context: StationContext, options: ManualCellOptions) -> None:
         super().__init__(context, _CELL, options, "a load cell")
-        self._shown, self._most = options.unit, options.capacity
+        self._display_unit, self._capacity = options.unit, options.capacity
         self._tare: float | None = None if options.tare else 0.0
-        self._again_s = (context.safety.stale_s if context.safety is not None else _COUNTS_S) / 2
+        self._repeat_after_s = (context.safety.stale_s if context.safety is not None else _COUNTS_S) / 2
         self._orders = -1
 
     def _due(self) -> bool:
         if self._head is None or self._last is None or self._head.orders != self._orders:
             return True
-        return self._head.down and self._clock.now() - self._last[0] > self._again_s
+        return self._head.down and self._clock.now() - self._last[0] > self._repeat_after_s
 
     def _read(self) -> float:
         """Ask for the tare if unknown, then for a reading."""
@@ -207,10 +207,12 @@ class ManualLoadCell(HandRead):
             reading = self._ask_force(f"read the load cell, the head is {'down' if down else 'up'}")
         # No order can change the depth during this reading, which is taken in one thread.
         self._orders = orders
-        return (reading - (self._tare or 0.0)) * _NEWTONS[self._shown]
+        return (reading - (self._tare or 0.0)) * _NEWTONS[self._display_unit]
 
     def _ask_force(self, text: str) -> float:
-        return self._operator.number(f"{text}, compression positive", self._shown, least=-self._most, most=self._most)
+        return self._operator.number(
+            f"{text}, compression positive", self._display_unit, least=-self._capacity, most=self._capacity
+        )
 
 
 #: A limited temperature may be five minutes old; a question takes its time.

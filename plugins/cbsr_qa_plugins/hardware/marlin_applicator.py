@@ -127,7 +127,7 @@ class MarlinApplicator(HeadDriver):
             marlin, machine, context.clock, lift_mm_s=self._motion.travel_speed_mm_s, fail=self._error
         )
         self._speed_mm_s = self._motion.press_speed_mm_s
-        self._found: dict[tuple[float, float], float] = {}
+        self._surfaces_mm: dict[tuple[float, float], float] = {}
         self._depths = SampleLog()
         self._watch: ForceWatch | None = None
         self.identity()
@@ -194,8 +194,8 @@ class MarlinApplicator(HeadDriver):
         stiffness, offset = np.polyfit(depths, forces, 1)
         if stiffness <= 0:
             raise self._error("the force does not rise with depth at the surface", "look whether a sheet is in place")
-        self._found[(x_mm, y_mm)] = float(-offset / stiffness)
-        return self._motion.hover_mm + self._found[(x_mm, y_mm)]
+        self._surfaces_mm[(x_mm, y_mm)] = float(-offset / stiffness)
+        return self._motion.hover_mm + self._surfaces_mm[(x_mm, y_mm)]
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
         """Travel at the hover height, lifting first if need be."""
@@ -294,7 +294,9 @@ class MarlinApplicator(HeadDriver):
         """Where the surface is taken to be below nominal: found here, or else found nearest, or else nominal."""
         x, y, _ = self._axes.final_position()
         here = (x - self._machine.centre_mm[0], y - self._machine.centre_mm[1])
-        return min(((math.dist(place, here), depth) for place, depth in self._found.items()), default=(0.0, 0.0))[1]
+        return min(
+            ((math.dist(place, here), depth) for place, depth in self._surfaces_mm.items()), default=(0.0, 0.0)
+        )[1]
 
     def _require_watch(self) -> ForceWatch:
         if self._watch is None:

@@ -85,7 +85,7 @@ class PhidgetSource(DriverBase):
         self._options = options
         self._log = SampleLog()
         self._attached = False
-        self._said = ""  # the last thing the library complained of
+        self._complaint = ""  # the last thing the library complained of
         self._began_s = self._clock.now()
         self._input = _bridge_input(self._role)
         self._lock = AddressLock(self._role, self._address)
@@ -110,7 +110,7 @@ class PhidgetSource(DriverBase):
     def samples_since(self, time_s: float) -> tuple[Array, Array]:
         """Return times [s] and forces [N], both (n,), after a time. InstrumentError while it is unplugged."""
         if not self._attached:
-            complaint = f" ({self._said})" if self._said else ""
+            complaint = f" ({self._complaint})" if self._complaint else ""
             raise self._error(f"the bridge is unplugged{complaint}", _PLUG)
         return self._log.read_since(time_s)
 
@@ -123,7 +123,7 @@ class PhidgetSource(DriverBase):
         self.samples_since(np.inf)
         silent_s = 1.0 + _SILENT_INTERVALS * self._options.data_interval_ms / 1e3
         if self._clock.now() - max(self._log.last_s, self._began_s) > silent_s:
-            complaint = f"; its library said: {self._said}" if self._said else ""
+            complaint = f"; its library said: {self._complaint}" if self._complaint else ""
             raise self._error(f"it has sent nothing for {silent_s:.3g} s{complaint}", "check cell, cable and bridge")
 
     def close(self) -> None:
@@ -164,13 +164,13 @@ class PhidgetSource(DriverBase):
             self._set_up(bridge)
             self._attached = True
         except Exception as error:  # noqa: BLE001 - told at the next look
-            self._said = str(error)
+            self._complaint = str(error)
 
     def _on_detach(self, bridge: Any) -> None:
         self._attached = False
 
     def _on_error(self, bridge: Any, code: int, description: str) -> None:
-        self._said = f"{description} ({code})"
+        self._complaint = f"{description} ({code})"
 
     def _on_ratio(self, bridge: Any, ratio: float) -> None:
         now_s = self._clock.now()

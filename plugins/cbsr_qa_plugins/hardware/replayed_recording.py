@@ -69,8 +69,8 @@ class ReplayedRecording(DriverBase):
         self._recording = recording = _read(context, options)
         super().__init__(context, _DRIVER, str(recording.path))
         _check_frames(recording, context)
-        self._wanted = options.channel
-        self._samples = next((block for block in recording.samples if block.channel == self._wanted), None)
+        self._channel = options.channel
+        self._samples = next((block for block in recording.samples if block.channel == self._channel), None)
         self._period_s = float(np.median(np.diff(recording.frames.time_s)))
         begins_s = [float(recording.frames.time_s[0]) - self._period_s / 2]
         if context.motion is not None:  # a station has the samples too
@@ -153,7 +153,7 @@ class ReplayedRecording(DriverBase):
             name = self._recording.path.name
             channels = ", ".join(block.channel for block in self._recording.samples) or "none"
             remedy = f"channels it holds: {channels}; take that role out of 'provides', or replay another recording"
-            raise config_error(self._context, _DRIVER, f": {name} holds no channel {self._wanted!r}", remedy)
+            raise config_error(self._context, _DRIVER, f": {name} holds no channel {self._channel!r}", remedy)
         return self._samples
 
     # --- force applicator ---

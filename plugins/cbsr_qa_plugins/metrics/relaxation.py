@@ -156,7 +156,7 @@ class EventRate:
         return tuple(_rate(times, *way) for way in _WAYS)
 
 
-def _rate(times: list[Measurement | None], qualifier: str, held: float, rested: float) -> Measurement:
+def _rate(times: list[Measurement | None], qualifier: str, hold_multiple: float, rest_multiple: float) -> Measurement:
     loading, unloading = times
     why = _why_not(loading, "loading") or _why_not(unloading, "unloading")
     if why or loading is None or unloading is None or loading.value is None or unloading.value is None:
@@ -164,9 +164,11 @@ def _rate(times: list[Measurement | None], qualifier: str, held: float, rested: 
     if loading.value + unloading.value <= 0:
         why = "the sheet settles within a frame: frames limit the rate, not the material"
         return Measurement("usable_event_rate", None, "1/min", qualifier=qualifier, how=why)
-    rate = event_rate_per_min(loading.value, unloading.value, held=held, rested=rested)
-    spread_s = ((held * (loading.uncertainty or 0.0)) ** 2 + (rested * (unloading.uncertainty or 0.0)) ** 2) ** 0.5
-    how = f"{held:g} of {loading.value:.3g} s held, {rested:g} of {unloading.value:.3g} s rested"
+    rate = event_rate_per_min(loading.value, unloading.value, held=hold_multiple, rested=rest_multiple)
+    spread_s = (
+        (hold_multiple * (loading.uncertainty or 0.0)) ** 2 + (rest_multiple * (unloading.uncertainty or 0.0)) ** 2
+    ) ** 0.5
+    how = f"{hold_multiple:g} of {loading.value:.3g} s held, {rest_multiple:g} of {unloading.value:.3g} s rested"
     # d(60/P) = 60/P² dP
     return Measurement("usable_event_rate", rate, "1/min", rate**2 / 60 * spread_s, qualifier=qualifier, how=how)
 

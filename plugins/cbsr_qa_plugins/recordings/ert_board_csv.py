@@ -90,16 +90,16 @@ class ErtBoardCsv(OneDataSet):
 
 def _lines(path: Path) -> tuple[list[BoardLine], list[RowProblem]]:
     """Take the lines apart; give up, and say so, where thousands in a row hold no reading."""
-    kept: list[BoardLine] = []
+    lines: list[BoardLine] = []
     bad = 0
     for line in _parse_file(path):
-        kept.append(line)
+        lines.append(line)
         good = line.kind is LineKind.MARK or (line.kind is LineKind.ROW and len(line.numbers) in _WIDTHS)
         bad = 0 if good else bad + 1
         if bad == MOST_BAD_IN_A_ROW:
             problem = f"{bad} lines in a row hold no row of readings; the rest of the file was not read"
-            return kept, [RowProblem(line.number, problem, False)]
-    return kept, []
+            return lines, [RowProblem(line.number, problem, False)]
+    return lines, []
 
 
 def _parse_file(path: Path) -> Iterator[BoardLine]:

@@ -206,11 +206,13 @@ class RandomLoads(ObservedSection):
         )
         rows: list[list[str | Cell]] = []
         for load in loads:
-            wanted = load.record.load
-            polar = f"{hypot(wanted.x_mm, wanted.y_mm):.1f}, {degrees(atan2(wanted.y_mm, wanted.x_mm)) % 360:.0f}°"
+            nominal = load.record.load
+            polar = (
+                f"{hypot(nominal.x_mm, nominal.y_mm):.1f}, {degrees(atan2(nominal.y_mm, nominal.x_mm)) % 360:.0f}°"
+            )
             force = "–" if load.force_N is None else with_uncertainty(load.force_N, load.force_stderr_N)
             error = value_cell(measured.find("centre_of_mass_error", load))
             overlap = value_cell(measured.find("area_overlap", load))
-            rows.append([wanted.label, polar, f"{100 * wanted.strain:.1f}", force, error, overlap])
+            rows.append([nominal.label, polar, f"{100 * nominal.strain:.1f}", force, error, overlap])
         columns = ("Load", "r [mm], θ", "Strain [%]", "Force [N]", "E_CoM [mm]", "A_OL [%]")
         yield text_table(f"Random loads: error {mean} mm over all.", columns, rows, (1, 2, 3, 4, 5))

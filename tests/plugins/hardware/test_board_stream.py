@@ -115,10 +115,10 @@ def test_what_is_no_board_gives_no_frame_and_does_not_pile_up():
     stream = BinaryStream(16)
     for _ in range(50):
         assert stream.feed(b"T:25.0 /0.0 ok\r\n" * 100) == []
-    assert len(stream._held) < 2 * BINARY_FRAME
+    assert len(stream._buffer) < 2 * BINARY_FRAME
     words = TextStream(16, 0, 65_535)
     assert fed(words, b"x" * 100_000, 4096) == []
-    assert len(words._held) <= 4096
+    assert len(words._buffer) <= 4096
 
 
 @pytest.mark.parametrize("first_ms", [None, 4242])
