@@ -97,7 +97,12 @@ class ReadingOptions(PluginOptions):
 
 
 class HandRead(DriverBase):
-    """Asks for a reading when one is due, and samples nothing in between. ``what``: name of the instrument that is read, for messages."""
+    """Asks for a reading when one is due, and samples nothing in between.
+
+    Parameters
+    ----------
+    what : name of the instrument that is read, for messages.
+    """
 
     channel: str
     unit: str
