@@ -130,35 +130,35 @@ def _values(
         query = query.where(MeasurementRow.analysis.in_(analysed))
     figures = Figures(connection, query, places)
     kinds: dict[ValueKind, int] = {}
-    kinds_and_states = [_meant(connection, saying, kinds) for saying in figures.sayings]
+    kinds_and_states = [_interpret(connection, description, kinds) for description in figures.descriptions]
     if any(known):
         check_figures(connection, chosen, known, figures)
-    kind, state = np.array(kinds_and_states, dtype=np.int32).reshape(-1, 2)[figures.said].T
+    kind, state = np.array(kinds_and_states, dtype=np.int32).reshape(-1, 2)[figures.description_index].T
     return tuple(kinds), (figures.place, kind, figures.value, state.astype(np.uint8))
 
 
-def _meant(connection: Connection, saying: tuple[Any, ...], kinds: dict[ValueKind, int]) -> tuple[int, int]:
+def _interpret(connection: Connection, description: tuple[Any, ...], kinds: dict[ValueKind, int]) -> tuple[int, int]:
     """Return kind and state for joined words and limits; new kinds are added to ``kinds``."""
-    joined, lower, upper = saying
+    joined, lower, upper = description
     parts = joined.split(BETWEEN)
     if len(parts) != len(JOINED):
         raise StoreError(
-            f"the database is damaged: {_first(connection, joined)} has {joined[:64]!r} with the control character"
-            " U+001F in it",
+            f"the database is damaged: {_name_first(connection, joined)} has {joined[:64]!r} with the control"
+            " character U+001F in it",
             remedy="restore the database from a copy; the row is left unchanged",
         )
     name, phase, qualifier, unit, location, outcome, bound = parts
     if (outcome, bound) not in _STATES:
-        row = _first(connection, joined)
+        row = _name_first(connection, joined)
         read_word(Outcome, outcome, "measurements.outcome", row)
         read_word(Bound, bound, "measurements.bound", row)
     kind = ValueKind(MetricKey(name, phase, qualifier), unit, location, lower, upper)
     return kinds.setdefault(kind, len(kinds)), _STATES[outcome, bound]
 
 
-def _first(connection: Connection, said: str) -> str:
+def _name_first(connection: Connection, joined: str) -> str:
     m = MeasurementRow
-    query = select(m.analysis, m.number).where(words() == said).order_by(m.analysis, m.number).limit(1)
+    query = select(m.analysis, m.number).where(words() == joined).order_by(m.analysis, m.number).limit(1)
     row = connection.execute(query).one()
     return f"analysis {row.analysis}, measurement {row.number},"
 

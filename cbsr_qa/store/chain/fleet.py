@@ -37,25 +37,25 @@ class Known(NamedTuple):
 class Figures:
     """Measurements as columns: analysis (−1: not requested), attributes, value.
 
-    Repeated words are stored once: each row holds an index into ``sayings``.
+    Repeated words are stored once: each row holds an index into ``descriptions``.
     """
 
     def __init__(self, connection: Connection, query: Executable, places: dict[str, int]) -> None:
         """Fetch analysis, value, joined words, lower and upper limit; whole columns at a time."""
-        run, saying_indexes, value = array("i"), array("i"), array("d")
-        sayings: defaultdict[tuple[Any, ...], int] = defaultdict()
-        sayings.default_factory = sayings.__len__
+        run, description_indexes, value = array("i"), array("i"), array("d")
+        descriptions: defaultdict[tuple[Any, ...], int] = defaultdict()
+        descriptions.default_factory = descriptions.__len__
         rows = connection.execute(query.execution_options(stream_results=True, max_row_buffer=AT_ONCE))
         for block in rows.partitions(_ROWS_AT_ONCE):
-            analysis, number, *saying = zip(*block, strict=True)
+            analysis, number, *description = zip(*block, strict=True)
             run.extend(map(places.get, analysis, repeat(-1)))
-            saying_indexes.extend(map(sayings.__getitem__, zip(*saying, strict=True)))
+            description_indexes.extend(map(descriptions.__getitem__, zip(*description, strict=True)))
             value.frombytes(np.array(number, dtype=np.float64).tobytes())
-        self.sayings = list(sayings)
+        self.descriptions = list(descriptions)
         # Earlier analyses of a run, and those stored during this read, are left out.
         places_of = np.array(run, dtype=np.int32)
         listed = places_of >= 0
-        self.place, self.said = places_of[listed], np.array(saying_indexes, dtype=np.int32)[listed]
+        self.place, self.description_index = places_of[listed], np.array(description_indexes, dtype=np.int32)[listed]
         self.value = np.array(value, dtype=np.float64)[listed]
 
 
@@ -99,7 +99,7 @@ def check_figures(
 
 def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, tuple[str, str]]) -> list[Known]:
     texts = ["" if analysis is None else analysis.facts for analysis in known]
-    digests = contents(texts, figures.place, figures.said, figures.value, figures.sayings)
+    digests = contents(texts, figures.place, figures.description_index, figures.value, figures.descriptions)
     return [
         analysis
         for analysis, content in zip(known, digests, strict=True)

@@ -210,8 +210,8 @@ RUN_COLUMNS: Final = (
     RunRow.started_at,
     RunRow.simulated,
 )
-#: (joined words, lower limit, upper limit).
-Saying = tuple[str, float | None, float | None]
+#: Description of a measurement: joined words, lower limit, upper limit.
+Description = tuple[str, float | None, float | None]
 
 
 def words() -> ColumnElement[str]:
@@ -230,9 +230,9 @@ def facts(run: Any, analysis: str, outcome: str, software: Sequence[Sequence[str
 def contents(
     known: Sequence[str],
     place: NDArray[np.int32],
-    said: NDArray[np.int32],
+    description_index: NDArray[np.int32],
     value: Array,
-    sayings: Sequence[Saying],
+    descriptions: Sequence[Description],
 ) -> Iterator[str]:
     """Yield the digest of each analysis, hexadecimal.
 
@@ -240,22 +240,23 @@ def contents(
     ----------
     known : facts of every analysis.
     place : (n,) analysis of each measurement; those of one analysis in the order of their numbers.
-    said : (n,) index into ``sayings``.
+    description_index : (n,) index into ``descriptions``.
     value : (n,) NaN where not measured.
     """
     if (np.diff(place) < 0).any():
         order = np.argsort(place, kind="stable")
-        place, said, value = place[order], said[order], value[order]
+        place, description_index, value = place[order], description_index[order], value[order]
     ends = np.searchsorted(place, np.arange(len(known) + 1)).tolist()
-    indices, numbers = said.astype("<i4").tobytes(), (value + 0.0).astype("<f8").tobytes()  # SQLite keeps no −0
-    texts = [f"{text}{BETWEEN}{lower!r}{BETWEEN}{upper!r}" for text, lower, upper in sayings]
+    indices = description_index.astype("<i4").tobytes()
+    numbers = (value + 0.0).astype("<f8").tobytes()  # SQLite keeps no −0
+    texts = [f"{text}{BETWEEN}{lower!r}{BETWEEN}{upper!r}" for text, lower, upper in descriptions]
     digests: dict[bytes, bytes] = {}  # most analyses of a recipe describe their values in the same words
     for facts_text, begin, end in zip(known, ends[:-1], ends[1:], strict=True):
-        saying = indices[4 * begin : 4 * end]
-        if saying not in digests:
-            digests[saying] = _sha256("\n".join(texts[k] for k in said[begin:end])).digest()
+        own_indices = indices[4 * begin : 4 * end]
+        if own_indices not in digests:
+            digests[own_indices] = _sha256("\n".join(texts[k] for k in description_index[begin:end])).digest()
         total = _sha256(facts_text)
-        total.update(digests[saying])
+        total.update(digests[own_indices])
         total.update(numbers[8 * begin : 8 * end])
         yield total.hexdigest()
 
@@ -268,10 +269,10 @@ def figures_digest(connection: Connection, analysis: str) -> str:
     rows = select(m.value, words(), m.lower_limit, m.upper_limit).where(m.analysis == analysis).order_by(m.number)
     measurements = connection.execute(rows).all()
     value = np.array([number for number, *_ in measurements], dtype=np.float64)
-    said = np.arange(len(measurements), dtype=np.int32)
+    description_index = np.arange(len(measurements), dtype=np.int32)
     known = facts(run, analysis, run.outcome, run.software)
-    sayings = [(text, lower, upper) for _, text, lower, upper in measurements]
-    return next(contents([known], 0 * said, said, value, sayings))
+    descriptions = [(text, lower, upper) for _, text, lower, upper in measurements]
+    return next(contents([known], 0 * description_index, description_index, value, descriptions))
 
 
 def _sha256(text: str) -> Any:
