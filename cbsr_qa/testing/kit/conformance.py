@@ -123,15 +123,10 @@ def _checks(plugins: Plugins, kind: Kind, name: str) -> Iterator[Check]:
         return
     with closing(SimpleNamespace(close=answer[0].close)):
         subject = Subject(plugins, kind, name, factory, answer[0])
-        created = CHECKS_OF[kind](subject)
-        while True:
-            try:
-                yield next(created)
-            except StopIteration:
-                return
-            except Exception as error:  # noqa: BLE001 - a plugin's code may raise anything
-                yield partial(check_creation, error)
-                return
+        try:
+            yield from CHECKS_OF[kind](subject)
+        except Exception as error:  # noqa: BLE001 - a plugin's code may raise anything
+            yield partial(check_creation, error)
 
 
 def check_import(plugins: Plugins, kind: Kind, name: str) -> Checked:

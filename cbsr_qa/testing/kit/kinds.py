@@ -1,7 +1,7 @@
 """The checks of each kind of plugin, on example data."""
 
 import math
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
 from itertools import islice
@@ -70,7 +70,7 @@ class Subject:
 
 
 Check = Callable[[], Checked | tuple[Checked, ...]]
-Checks = Iterator[Check]
+Checks = Iterable[Check]
 
 
 def _metric(subject: Subject) -> Checks:
@@ -100,11 +100,6 @@ def check_repeated_measurements(metric: Any, observation: Any) -> Checked:
     """
     assert check_metric(metric, observation) == check_metric(metric, observation), "other values the second time"
     return Checked("repeated measurements", "the same")
-
-
-def _reconstruction(subject: Subject) -> Checks:
-    tolerances = Tolerances(**subject.example.tolerances)
-    yield from reconstruction_checks(partial(subject.factory, **subject.example.options), tolerances=tolerances)
 
 
 def _instrument(subject: Subject) -> Checks:
@@ -181,10 +176,6 @@ def check_dry_run(name: str, sequence: Any) -> Checked:
     walked = dry_run(example_plan(PlannedPhase("example", name, sequence), seed=_SEED), _PERIOD_S)
     assert not walked.violations, "; ".join(walked.violations)
     return Checked("dry run", f"{walked.loads} loads, {walked.frames} frames, {walked.duration_s:.0f} s")
-
-
-def _effect(subject: Subject) -> Checks:
-    yield partial(check_scene, subject)
 
 
 def check_scene(subject: Subject) -> Checked:
@@ -274,10 +265,6 @@ def check_damaged_file(format_: Any, path: Path) -> Checked:
     return Checked("damaged file", ", ".join(ends))
 
 
-def _section(subject: Subject) -> Checks:
-    yield partial(check_rendering, subject.create())
-
-
 def check_rendering(section: Any) -> Checked:
     """A section of an example run is a `Section` with a title that can be rendered, or None.
 
@@ -290,10 +277,6 @@ def check_rendering(section: Any) -> Checked:
     assert rendered.title.strip(), "a section without a title"
     html = render_sections(Page("", "", Banner("plain", "", "", ""), ()), (rendered,))
     return Checked("rendering", f"{rendered.title!r} with {len(rendered.blocks)} blocks, {len(html)} characters")
-
-
-def _sink(subject: Subject) -> Checks:
-    yield partial(check_delivery, subject.create(), subject.example)
 
 
 def check_delivery(sink: Any, example: Example) -> Checked:
@@ -311,10 +294,12 @@ def check_delivery(sink: Any, example: Example) -> Checked:
 CHECKS_OF: Final[Mapping[Kind, Callable[[Subject], Checks]]] = {
     Kind.INSTRUMENT: _instrument,
     Kind.SEQUENCE: _sequence,
-    Kind.RECONSTRUCTION: _reconstruction,
+    Kind.RECONSTRUCTION: lambda subject: reconstruction_checks(
+        partial(subject.factory, **subject.example.options), tolerances=Tolerances(**subject.example.tolerances)
+    ),
     Kind.METRIC: _metric,
-    Kind.EFFECT: _effect,
+    Kind.EFFECT: lambda subject: [partial(check_scene, subject)],
     Kind.RECORDING: _recording,
-    Kind.SECTION: _section,
-    Kind.SINK: _sink,
+    Kind.SECTION: lambda subject: [partial(check_rendering, subject.create())],
+    Kind.SINK: lambda subject: [partial(check_delivery, subject.create(), subject.example)],
 }
