@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.recording_files import FORMAT, SIGNATURE, read_recording, write_recording
 from cbsr_qa.calibration.file.hdf5 import BLOCK_BEGINS
-from cbsr_qa.plugin import Recording, RecordingError, RefusedError, Transcript
+from cbsr_qa.plugin import LoadRecord, Recording, RecordingError, RefusedError, Transcript
 from cbsr_qa_plugins.recordings.lab_files import OneDataSet, refuse_existing
 
 
@@ -55,14 +55,15 @@ def _from_first_frame(recording: Recording) -> Recording:
         raise RecordingError(f"{recording.path.name} holds no frames", remedy="export another phase of the run")
     zero_s = float(frames.time_s[0])
     reading_time_s = None if frames.reading_time_s is None else frames.reading_time_s - zero_s
-    load_times = ("press_start_s", "hold_start_s", "release_start_s", "release_end_s", "rest_end_s")
+    loads: list[LoadRecord] = []
+    for load in recording.loads:
+        names = ("press_start_s", "hold_start_s", "release_start_s", "release_end_s", "rest_end_s")
+        loads.append(replace(load, **{name: getattr(load, name) - zero_s for name in names}))
     return replace(
         recording,
         frames=replace(frames, time_s=frames.time_s - zero_s, reading_time_s=reading_time_s),
         samples=tuple(replace(block, time_s=block.time_s - zero_s) for block in recording.samples),
-        loads=tuple(
-            replace(load, **{name: getattr(load, name) - zero_s for name in load_times}) for load in recording.loads
-        ),
+        loads=tuple(loads),
         clock="none" if recording.clock == "none" else "station",
         notes=(*recording.notes, f"times count from the first frame, which the run's clock puts at {zero_s:.2f} s"),
     )

@@ -9,6 +9,7 @@ from cbsr_qa.plugin import (
     Block,
     Disc,
     Figure,
+    Goodness,
     ImagedPlace,
     LoadEvent,
     Paragraph,
@@ -150,10 +151,7 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         "r/R": [format_fixed(event.r_over_R, 2) for event in events],
         "Conductance": ["rises" if event.sign > 0 else "falls" for event in events],
         "SNR": [format_fixed(event.snr, 1) for event in events],
-        "Explained [%]": [
-            format_or_dash(event.goodness, lambda fit: f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}")
-            for event in events
-        ],
+        "Explained [%]": [format_or_dash(event.goodness, _format_explained) for event in events],
         "x [mm]": [_format_value(event.x_mm, 1) for event in events],
         "y [mm]": [_format_value(event.y_mm, 1) for event in events],
         "Force [N]": [_format_value(event.force_N, 2) for event in events],
@@ -169,6 +167,10 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         + (" Overlapping: whether the image shows an event during others as a separate region." if beside else "")
     )
     return text_table(caption, tuple(shown_columns), list(zip(*shown_columns.values(), strict=True)), numeric)
+
+
+def _format_explained(fit: Goodness) -> str:
+    return f"{100 * fit.explained:.0f}{'' if fit.in_model else ' !'}"
 
 
 def _imaging(result: RecordingResult) -> Table:

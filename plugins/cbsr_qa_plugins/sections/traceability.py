@@ -19,6 +19,7 @@ from cbsr_qa.plugin import (
     RunSession,
     SensorType,
     Table,
+    VerdictOverride,
 )
 from cbsr_qa.report.gate import gate_blocks
 from cbsr_qa.report.section import RunSection
@@ -43,12 +44,7 @@ class Traceability(RunSection):
         if result.observation is not None:
             yield _analysis(result.observation)
         if result.overrides:
-            rows = [[_minute(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in result.overrides]
-            caption = (
-                "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue"
-                " calibrations."
-            )
-            yield text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
+            yield _overrides(result.overrides)
         yield from (_changes(result.history), _phases(record))
         if len(record.sessions) > 1:
             yield _sessions(record)
@@ -148,6 +144,12 @@ def _changes(history: ChangeHistory) -> Block:
         rows.append([_minute(change.at), f"{change.kind} {change.name}", change.words(12), content, *by])
     columns = ("When", "File", "What changed", "Content (SHA-256)", "By", "Why", "First run with it")
     return text_table(f"Changes of recipe, limits, station, sensor type and material {since}.", columns, rows)
+
+
+def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
+    rows = [[_minute(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in overrides]
+    caption = "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue calibrations."
+    return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
 
 
 def _phases(record: RunRecord) -> Table:
