@@ -55,9 +55,8 @@ def interpolate_pulses(white: Array, pulses: tuple[Change, ...]) -> Array:
     for pulse in pulses:
         frame_before, frame_after = pulse.frame - 1, pulse.frame + pulse.window
         share = (np.arange(frame_before + 1, frame_after) - frame_before) / (frame_after - frame_before)
-        bridged[frame_before + 1 : frame_after] = (1 - share)[:, None] * white[frame_before] + share[:, None] * white[
-            frame_after
-        ]
+        before, after = white[frame_before], white[frame_after]
+        bridged[frame_before + 1 : frame_after] = (1 - share)[:, None] * before + share[:, None] * after
     return bridged
 
 
