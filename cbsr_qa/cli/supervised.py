@@ -75,7 +75,7 @@ def supervise(*, judges: bool, live: bool = False, reads: str = "") -> int | Non
     for end in (report[1], alive[0], echo[1]):
         os.close(end)
     try:
-        parent = _Parent(child, report[0], echo[0], mask)
+        parent = _Parent(child, report[0], echo[0], mask, judges=judges)
         status = parent.wait()
     finally:
         for end in (report[0], alive[1], echo[0]):
@@ -178,8 +178,8 @@ class _Parent:
     within :data:`_ECHO_S` is passed on, but never twice, which would mean "at once" to a run.
     """
 
-    def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
-        self._child, self._report, self._echo, self._mask = child, report, echo, mask
+    def __init__(self, child: int, report: int, echo: int, mask: _Mask, *, judges: bool) -> None:
+        self._child, self._report, self._echo, self._mask, self._judges = child, report, echo, mask, judges
         self._received = bytearray()
         self._reads = True
         self._loads: threading.Thread | None = None
@@ -231,7 +231,8 @@ class _Parent:
         while self._reads and (chunk := _read(self._report)) is not None:
             self._received += chunk
             self._reads = bool(chunk)
-            if self._loads is None and b'"run":' in chunk:  # a run has begun: its end need not wait for this
+            # A run has begun, and its verdict will be looked up: its end need not wait for what that needs.
+            if self._judges and self._loads is None and b'"run":' in chunk:
                 self._loads = threading.Thread(target=_load_the_store, daemon=True)
                 self._loads.start()
 
