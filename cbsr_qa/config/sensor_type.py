@@ -27,7 +27,6 @@ from cbsr_qa.domain.sensor.electrodes import (
 from cbsr_qa.domain.sensor.mesh import Mesh, mesh_of_arrays
 from cbsr_qa.domain.sensor.patterns import DrivePattern, Pairs, imaging_problems, is_rule, list_pairs, pair_problems
 from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
-from cbsr_qa.eit.mesh.files import mesh_sensor
 from cbsr_qa.plugin.problems import Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
@@ -311,6 +310,8 @@ class SensorTypeFile(FileModel[SensorType]):
         pattern = DrivePattern(count, *(self.pattern.pairs(kind, count) for kind in ("drive", "measure")))
         response = Response(sheet.response)
         if sheet.mesh is not None:
+            from cbsr_qa.eit.mesh.files import mesh_sensor  # few sheets have a mesh of their own
+
             return mesh_sensor(sheet.name, sheet.mesh, pattern, thickness_mm=sheet.thickness_mm, response=response)
         outline, layout = self._outline, self._layout
         assert outline is not None

@@ -16,7 +16,6 @@ from cbsr_qa.domain.results.characterisation import STRIP_MEASURES
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES
-from cbsr_qa.eit.loads.bodies import check_strip
 from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import blame_plugin
@@ -50,6 +49,8 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         for name in recipe.sections:
             plugins.factory(Kind.SECTION, name)
         if recipe.characterisation is not None:
+            from cbsr_qa.eit.loads.bodies import check_strip  # other recipes press no strip
+
             check_strip(sensor_type)
             _check_named(recipe.limits, STRIP_MEASURES)
             return
