@@ -59,6 +59,9 @@ def supervise(*, judges: bool, live: bool = False, reads: str = "") -> int | Non
     BrokenRunError, BrokenProcessError
         In the parent, if the child ended in any other way.
     """
+    if judges:
+        # The child needs it as well, and has it then: it is half a second to load.
+        from cbsr_qa.store.runs import outcomes  # noqa: F401
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)  # signals wait until handlers are in place
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     report, alive, echo = os.pipe(), os.pipe(), os.pipe()
@@ -75,7 +78,7 @@ def supervise(*, judges: bool, live: bool = False, reads: str = "") -> int | Non
     for end in (report[1], alive[0], echo[1]):
         os.close(end)
     try:
-        parent = _Parent(child, report[0], echo[0], mask, judges=judges)
+        parent = _Parent(child, report[0], echo[0], mask)
         status = parent.wait()
     finally:
         for end in (report[0], alive[1], echo[0]):
@@ -178,11 +181,10 @@ class _Parent:
     within :data:`_ECHO_S` is passed on, but never twice, which would mean "at once" to a run.
     """
 
-    def __init__(self, child: int, report: int, echo: int, mask: _Mask, *, judges: bool) -> None:
-        self._child, self._report, self._echo, self._mask, self._judges = child, report, echo, mask, judges
+    def __init__(self, child: int, report: int, echo: int, mask: _Mask) -> None:
+        self._child, self._report, self._echo, self._mask = child, report, echo, mask
         self._received = bytearray()
         self._reads = True
-        self._loads: threading.Thread | None = None
 
     def read_report(self) -> dict[str, Any]:
         """Return what the child reported, later messages over earlier ones; ignores what plugins wrote."""
@@ -209,8 +211,6 @@ class _Parent:
                 self._read_report()
                 self._hand_on({*(_read(wake_reader) or b"")} & {*heard_signals})
             self._read_report()
-            if self._loads is not None:
-                self._loads.join()
             return status
         finally:
             for number, handler in previous_handlers.items():
@@ -231,10 +231,6 @@ class _Parent:
         while self._reads and (chunk := _read(self._report)) is not None:
             self._received += chunk
             self._reads = bool(chunk)
-            # A run has begun, and its verdict will be looked up: its end need not wait for what that needs.
-            if self._judges and self._loads is None and b'"run":' in chunk:
-                self._loads = threading.Thread(target=_load_the_store, daemon=True)
-                self._loads.start()
 
     def _hand_on(self, numbers: set[int]) -> None:
         unheard = self._unheard(numbers)
@@ -260,10 +256,6 @@ def _read(end: int) -> bytes | None:
         return os.read(end, 1 << 16)
     except BlockingIOError:
         return None
-
-
-def _load_the_store() -> None:
-    from cbsr_qa.store.runs import outcomes  # noqa: F401 - half a second
 
 
 def _conclude(reported: dict[str, Any], status: int, *, judges: bool) -> int:
