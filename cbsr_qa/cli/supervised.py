@@ -209,7 +209,10 @@ class _Parent:
             while (status := self._poll_child()) is None:
                 select.select([wake_reader, *[self._report] * self._reads], [], [])
                 self._read_report()
-                self._hand_on({*(_read(wake_reader) or b"")} & {*heard_signals})
+                unheard = self._unheard({*(_read(wake_reader) or b"")} & {*heard_signals})
+                for number in unheard:
+                    os.kill(self._child, number)
+                self._unheard(unheard)  # so that its echo does not answer the next one
             self._read_report()
             return status
         finally:
@@ -231,12 +234,6 @@ class _Parent:
         while self._reads and (chunk := _read(self._report)) is not None:
             self._received += chunk
             self._reads = bool(chunk)
-
-    def _hand_on(self, numbers: set[int]) -> None:
-        unheard = self._unheard(numbers)
-        for number in unheard:
-            os.kill(self._child, number)
-        self._unheard(unheard)  # so that its echo does not answer the next one
 
     def _unheard(self, numbers: set[int]) -> set[int]:
         """Wait for the echoes of signals; return the signals without an echo."""

@@ -92,13 +92,12 @@ def _rule_or_pairs(value: object) -> object:
     if isinstance(value, str):
         if not is_rule(value):
             raise ValueError("allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on, or pairs [[0, 1], …]")
-    elif not isinstance(value, list) or not all(_is_pair(pair) for pair in value):
+    elif not isinstance(value, list) or not all(
+        isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
+        for pair in value
+    ):
         raise ValueError("it must be the name of a rule or an array of pairs of electrodes, [[0, 1], …]")
     return value
-
-
-def _is_pair(pair: object) -> bool:
-    return isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
 
 
 RuleOrPairs = Annotated[str | list[list[int]], PlainValidator(_rule_or_pairs)]

@@ -107,7 +107,8 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
                 ask=ask,
                 tell=console.tell,
             )
-        _refuse_untried(findings, configuration)
+        if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
+            raise findings.refused[0]  # no instrument could be opened at all
         findings.lines += _backlog(store, configuration.station)
         golden = None
         if request.golden is not None and _may_press(request.golden, findings, confirm_placed):
@@ -203,12 +204,6 @@ def _backlog(store: Repository, station: Station) -> list[CheckResult]:
             "central database",
         )
     ]
-
-
-def _refuse_untried(findings: BenchFindings, configuration: Configuration) -> None:
-    """Raise the first refusal if no instrument could be opened at all."""
-    if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
-        raise findings.refused[0]
 
 
 def _subject(serial: str) -> str:
