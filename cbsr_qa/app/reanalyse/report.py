@@ -149,8 +149,8 @@ def _sections(done: Reanalysed) -> Iterator[Section]:
     ):
         if runs:
             named = [(run.serial, f"{run.started_at:%Y-%m-%d}", run.why, run.run) for run in runs[:MOST_SHOWN]]
-            columns = ("sensor", "began", "reason", "run")
-            yield Section(title, (text_table(_cut(caption, len(runs)), columns, named),))
+            headings = ("sensor", "began", "reason", "run")
+            yield Section(title, (text_table(_cut(caption, len(runs)), headings, named),))
     if done.new_warnings:
         counts = [(str(count), warning) for warning, count in list(done.new_warnings.items())[:MOST_SHOWN]]
         caption = _cut(_WARNINGS, len(done.new_warnings))
