@@ -116,12 +116,9 @@ def commands(first_word: str = "") -> list[Command]:
         import_module(module)
     if all(words.partition(" ")[0] != first_word for words in _COMMANDS):
         _import_all()
-    return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (_rank(words), words))]
-
-
-def _rank(words: str) -> int:
-    first_word = words.partition(" ")[0]
-    return _FIRST.index(first_word) if first_word in _FIRST else len(_FIRST)
+    rank_by_word = {word: rank for rank, word in enumerate(_FIRST)}
+    ranks = {words: rank_by_word.get(words.partition(" ")[0], len(_FIRST)) for words in _COMMANDS}
+    return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (ranks[words], words))]
 
 
 def purpose(of_group: str) -> str:

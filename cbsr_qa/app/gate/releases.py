@@ -89,7 +89,11 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
 def _kind(file: str) -> DocumentKind:
     """Return what a file is by its table, and a shipped one by its name. Raise ConfigError if it is neither."""
     if file.endswith(".toml") or "/" in file or "\\" in file:
-        kinds = [kind for kind in _LOADERS if _has_table(kind, file)]
+        kinds = []
+        for kind in _LOADERS:
+            with suppress(ConfigError):
+                if kind.table in open_document(kind, file).data:
+                    kinds.append(kind)
     else:
         kinds = [kind for kind in _LOADERS if file in list_shipped(kind)]
     if len(kinds) == 1:
@@ -103,9 +107,3 @@ def _kind(file: str) -> DocumentKind:
     raise ConfigError(
         f"{echo(file)} is the name of a {' and a '.join(kind.noun for kind in kinds)}", remedy="give the path"
     )
-
-
-def _has_table(kind: DocumentKind, file: str) -> bool:
-    with suppress(ConfigError):
-        return kind.table in open_document(kind, file).data
-    return False
