@@ -14,7 +14,8 @@ from sqlalchemy import Connection, Engine, create_engine, insert, select
 from sqlalchemy.exc import OperationalError
 
 from benchmarks.rows import Row
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.store.chain.check import select_run
 from cbsr_qa.store.chain.links import add_links, add_rows
 from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, figures_digest

@@ -8,7 +8,6 @@ import numpy as np
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording.analysis import DEFAULT_RECONSTRUCTION
-from cbsr_qa.app.analyse.outcome import ChosenParameter
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.imaging import Image, PreparedReconstruction
 from cbsr_qa.domain.numbers import Array
@@ -23,6 +22,7 @@ from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.report.document import ChosenParameter
 from cbsr_qa.report.draw.images import ImagePanel, image_figure
 from cbsr_qa.report.tables import plural
 from cbsr_qa.system.copies import come_back_once

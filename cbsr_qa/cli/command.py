@@ -116,12 +116,9 @@ def commands(first_word: str = "") -> list[Command]:
         import_module(module)
     if all(words.partition(" ")[0] != first_word for words in _COMMANDS):
         _import_all()
-    return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (_rank(words), words))]
-
-
-def _rank(words: str) -> int:
-    first_word = words.partition(" ")[0]
-    return _FIRST.index(first_word) if first_word in _FIRST else len(_FIRST)
+    rank_by_word = {word: rank for rank, word in enumerate(_FIRST)}
+    ranks = {words: rank_by_word.get(words.partition(" ")[0], len(_FIRST)) for words in _COMMANDS}
+    return [_COMMANDS[words] for words in sorted(_COMMANDS, key=lambda words: (ranks[words], words))]
 
 
 def purpose(of_group: str) -> str:
@@ -182,14 +179,10 @@ def _options_of(kind: Any) -> list[Parameter]:
 def _parameters(run: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | OptionInfo, Any]]:
     for name, hint in get_type_hints(run, include_extras=True).items():
         for info in getattr(hint, "__metadata__", ()):
-            yield name, info, _value_type(get_args(hint)[0])
-
-
-def _value_type(hint: Any) -> Any:
-    """Return the type of one value of an optional option, or of one that may be repeated."""
-    while get_origin(hint) is not None:
-        hint = get_args(hint)[0]
-    return next((kind for kind in get_args(hint)), hint)
+            kind = get_args(hint)[0]
+            while get_origin(kind) is not None:  # optional, or given several times
+                kind = get_args(kind)[0]
+            yield name, info, next(iter(get_args(kind)), kind)
 
 
 #: Options of typer and of the program itself that take no value.

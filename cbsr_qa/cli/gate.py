@@ -25,7 +25,8 @@ def gate(
 
     Exit code 0 if the run could begin, 2 if a check refuses it.
     """
-    from cbsr_qa.app.run.run import RunRequest, preview_gate
+    from cbsr_qa.app.run.preview import preview_gate
+    from cbsr_qa.app.run.request import RunRequest
 
     request = RunRequest(
         station=station,

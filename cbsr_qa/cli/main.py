@@ -201,18 +201,14 @@ _WORDS = {
 }
 
 
-def _reword(message: str) -> str:
-    for jargon, wording in _WORDS.items():
-        if re.fullmatch(jargon, message):
-            return re.sub(jargon, wording, message)
-    return message
-
-
 def _report_misuse(error: Any, arguments: list[str]) -> int:
     """Report what is wrong with the command line."""
     if not error.format_message():
         return 2  # a command without any argument: typer has printed its help
-    error.message = _reword(error.message)
+    for jargon, wording in _WORDS.items():
+        if re.fullmatch(jargon, error.message):
+            error.message = re.sub(jargon, wording, error.message)
+            break
     if _wants_json(arguments):
         emit_json(RefusedError(error.format_message(), remedy="see cbsr-qa COMMAND --help").document())
     error.show()

@@ -183,9 +183,9 @@ _LONGEST_PIN_LINE: Final = 1000
 STOP: Final = ("stop", "abort")
 
 
-def operator_at_terminal() -> Callable[[str], str] | None:
-    """Return the function that asks the operator; None if stdin is not a terminal."""
-    return ask_operator if sys.stdin is not None and sys.stdin.isatty() else None
+def operator_is_there() -> bool:
+    """Whether stdin is a terminal, at which an operator can answer."""
+    return sys.stdin is not None and sys.stdin.isatty()
 
 
 def ask_operator(text: str) -> str:

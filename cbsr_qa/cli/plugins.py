@@ -112,11 +112,13 @@ def new_plugin(
     plugin_kind = kind_named(kind)
     assert plugin_kind is not None  # None stands for all kinds only where no kind is given
     package = make_package(plugin_kind, name, discover(), into)
+    # In the form for pip, which would look for a bare name on the net.
+    folder = str(package.folder) if package.folder.is_absolute() else f"./{package.folder}"
     printed = (
         *(("file", str(package.folder / file)) for file in package.files),
         ("change", str(package.folder / package.module / f"{package.kind}.py")),
         ("check", f"cbsr-qa plugins check {package.folder}/"),
-        ("install", f"python -m pip install --no-deps {_path(package.folder)}"),
+        ("install", f"python -m pip install --no-deps {folder}"),
     )
     show(answer(package, f"{package.folder} has the {package.kind} {package.name}", printed=printed), as_json=as_json)
 
@@ -145,11 +147,6 @@ def check_plugin(
     targets = targets_of(name, kind_named(kind))
     with Counting("checks") as counting:
         return show(checks_outcome(check_plugins(targets, counting.stage)), as_json=as_json)
-
-
-def _path(folder: Path) -> str:
-    """Return a folder in the form for pip, which would look for a bare name on the net."""
-    return str(folder) if folder.is_absolute() else f"./{folder}"
 
 
 def _section(plugin: "PluginReference") -> "Section":

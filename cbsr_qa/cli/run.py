@@ -7,8 +7,7 @@ import typer
 
 from cbsr_qa.cli.command import command, document
 from cbsr_qa.cli.options import AsJson, Database, list_given_options, one_of, option_names
-from cbsr_qa.cli.output import announce, note, operator_at_terminal, read_pin, show
-from cbsr_qa.cli.supervised import report_run
+from cbsr_qa.cli.output import note, show
 
 #: Options a new run requires, and those allowed with --resume.
 _NEEDED = ("station", "recipe", "serial")
@@ -70,27 +69,19 @@ def run(
     gate.
     """
     _check_given(context, resuming=resume is not None)
-    answers = one_of(Prompts, prompts, "--prompts") is Prompts.CHANNEL
+    by_channel = one_of(Prompts, prompts, "--prompts") is Prompts.CHANNEL
     from cbsr_qa.app.gate.request import Override
     from cbsr_qa.app.run.outcome import run_outcome
-    from cbsr_qa.app.run.planned import plan_outcome
-    from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
+    from cbsr_qa.app.run.request import RunRequest
+    from cbsr_qa.cli.console import PageOfLine, Terminal
 
+    console = PageOfLine(database) if by_channel else Terminal(database)
     overridden = Override(tuple(override or ()), override_by, override_why)
     if resume is not None:
         from cbsr_qa.app.run.resume import resume_run
 
-        report_run(resume, database)
         outcome = resume_run(
-            resume,
-            database=database,
-            operator=operator,
-            tell=announce,
-            ask=operator_at_terminal(),
-            answers=answers,
-            station=station or None,
-            override=overridden,
-            pin=read_pin,
+            resume, console, database=database, operator=operator, station=station or None, override=overridden
         )
         return show(run_outcome(outcome), as_json=as_json)
 
@@ -108,20 +99,17 @@ def run(
         override=overridden,
     )
     if dry_run:
-        planned = plan_run(request, attended=answers or operator_at_terminal() is not None)
+        from cbsr_qa.app.run.planned import plan_outcome
+        from cbsr_qa.app.run.preview import plan_run
+
+        planned = plan_run(request, attended=console.attended)
         code = show(plan_outcome(planned), as_json=as_json)
         if planned.refused is not None:
             note(f"cbsr-qa: the run would be refused\n{planned.refused.remedy}")
         return code
-    outcome = run_sensor(
-        request,
-        tell=announce,
-        ask=operator_at_terminal(),
-        begun=lambda run: report_run(run, database),
-        answers=answers,
-        pin=read_pin,
-    )
-    return show(run_outcome(outcome), as_json=as_json)
+    from cbsr_qa.app.run.run import run_sensor
+
+    return show(run_outcome(run_sensor(request, console)), as_json=as_json)
 
 
 def _check_given(context: typer.Context, *, resuming: bool) -> None:

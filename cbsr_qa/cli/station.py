@@ -10,7 +10,7 @@ import typer
 
 from cbsr_qa.cli.command import command, group
 from cbsr_qa.cli.options import AsJson, Database
-from cbsr_qa.cli.output import announce, operator_at_terminal, read_pin, show
+from cbsr_qa.cli.output import announce, read_pin, show
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 
 group("station", "Check stations, and pause or stop the runs at them.")
@@ -55,6 +55,7 @@ def check(
     if bool(station) == bool(named):
         context.fail("The station is named twice: leave --station out." if station else "Missing option '--station'.")
     from cbsr_qa.app.station_check.check import CheckRequest, check_station
+    from cbsr_qa.cli.console import Terminal
 
     request = CheckRequest(
         station=station or named,
@@ -68,7 +69,7 @@ def check(
         seed=seed,
         database=database,
     )
-    checked = check_station(request, ask=operator_at_terminal(), tell=announce, pin=read_pin)
+    checked = check_station(request, Terminal(database))
     raise typer.Exit(show(checked, as_json=as_json))
 
 

@@ -59,6 +59,9 @@ def supervise(*, judges: bool, live: bool = False, reads: str = "") -> int | Non
     BrokenRunError, BrokenProcessError
         In the parent, if the child ended in any other way.
     """
+    if judges:
+        # The child needs it as well, and has it then: it is half a second to load.
+        from cbsr_qa.store.runs import outcomes  # noqa: F401
     mask = signal.pthread_sigmask(signal.SIG_BLOCK, _HANDED_ON)  # signals wait until handlers are in place
     signal.signal(signal.SIGCHLD, signal.SIG_DFL)
     report, alive, echo = os.pipe(), os.pipe(), os.pipe()
@@ -182,7 +185,6 @@ class _Parent:
         self._child, self._report, self._echo, self._mask = child, report, echo, mask
         self._received = bytearray()
         self._reads = True
-        self._loads: threading.Thread | None = None
 
     def read_report(self) -> dict[str, Any]:
         """Return what the child reported, later messages over earlier ones; ignores what plugins wrote."""
@@ -207,10 +209,11 @@ class _Parent:
             while (status := self._poll_child()) is None:
                 select.select([wake_reader, *[self._report] * self._reads], [], [])
                 self._read_report()
-                self._hand_on({*(_read(wake_reader) or b"")} & {*heard_signals})
+                unheard = self._unheard({*(_read(wake_reader) or b"")} & {*heard_signals})
+                for number in unheard:
+                    os.kill(self._child, number)
+                self._unheard(unheard)  # so that its echo does not answer the next one
             self._read_report()
-            if self._loads is not None:
-                self._loads.join()
             return status
         finally:
             for number, handler in previous_handlers.items():
@@ -231,15 +234,6 @@ class _Parent:
         while self._reads and (chunk := _read(self._report)) is not None:
             self._received += chunk
             self._reads = bool(chunk)
-            if self._loads is None and b'"run":' in chunk:  # a run has begun: its end need not wait for this
-                self._loads = threading.Thread(target=_load_the_store, daemon=True)
-                self._loads.start()
-
-    def _hand_on(self, numbers: set[int]) -> None:
-        unheard = self._unheard(numbers)
-        for number in unheard:
-            os.kill(self._child, number)
-        self._unheard(unheard)  # so that its echo does not answer the next one
 
     def _unheard(self, numbers: set[int]) -> set[int]:
         """Wait for the echoes of signals; return the signals without an echo."""
@@ -259,10 +253,6 @@ def _read(end: int) -> bytes | None:
         return os.read(end, 1 << 16)
     except BlockingIOError:
         return None
-
-
-def _load_the_store() -> None:
-    from cbsr_qa.store.runs import outcomes  # noqa: F401 - half a second
 
 
 def _conclude(reported: dict[str, Any], status: int, *, judges: bool) -> int:

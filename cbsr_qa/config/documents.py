@@ -4,6 +4,7 @@ import math
 import re
 import tomllib
 from collections.abc import Iterator, Mapping
+from contextlib import suppress
 from dataclasses import dataclass
 from difflib import get_close_matches
 from enum import Enum
@@ -141,13 +142,6 @@ def _is_file(path: Path) -> bool:
         return False
 
 
-def _exists(path: Path) -> bool:
-    try:
-        return path.exists()
-    except (OSError, ValueError):
-        return False
-
-
 def _unknown(kind: DocumentKind, name: str) -> ConfigError:
     shipped = list_shipped(kind)
     close_matches = get_close_matches(name, shipped, n=1)
@@ -165,7 +159,10 @@ def _unknown(kind: DocumentKind, name: str) -> ConfigError:
 
 
 def _read(kind: DocumentKind, path: Path) -> str:
-    if not _exists(path):
+    exists = False
+    with suppress(OSError, ValueError):
+        exists = path.exists()
+    if not exists:
         shipped = f"; or give a shipped name: {names}" if (names := ", ".join(list_shipped(kind))) else ""
         raise ConfigError(
             f"{kind.noun} file {echo(str(path), 200)} does not exist", remedy=f"check its name and folder{shipped}"

@@ -147,13 +147,10 @@ def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTa
 
 def limits_digest(limits: Sequence[dict[str, Any]]) -> str:
     """Return the SHA-256 of limits as canonical JSON, independent of their order."""
-    rows = sorted(json.dumps(_whole(limit), sort_keys=True, ensure_ascii=False) for limit in limits)
+    # With every key and its default: leaving a default out changes nothing.
+    whole_limits = [LimitTable.model_validate(limit).model_dump() for limit in limits]
+    rows = sorted(json.dumps(limit, sort_keys=True, ensure_ascii=False) for limit in whole_limits)
     return hashlib.sha256("\n".join(rows).encode()).hexdigest()
-
-
-def _whole(limit: dict[str, Any]) -> dict[str, Any]:
-    """Return a limit with every key and its default, so that leaving a default out changes nothing."""
-    return LimitTable.model_validate(limit).model_dump()
 
 
 def with_limits(document: Document) -> Document:

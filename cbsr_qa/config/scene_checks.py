@@ -40,7 +40,16 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
         (index, load, press_times(load, load.strain * sensor_type.thickness_mm, plan.motion))
         for index, load in enumerate(plan.loads)
     ]
-    problems = [*_off_the_sheet(plan, sensor_type), *_too_soon(plan, timed), *_too_late(plan, timed)]
+    problems = [
+        Problem(
+            ("loads", index, "x_mm"),
+            f"is {plainly(load.x_mm)} with y_mm = {plainly(load.y_mm)}, off the sheet;"
+            f" the sheet {sensor_type.outline.words()}",
+        )
+        for index, load in enumerate(plan.loads)
+        if _clearance_mm(sensor_type, load) < 0
+    ]
+    problems += [*_too_soon(plan, timed), *_too_late(plan, timed)]
     problems += _meeting_heads(plan.indenter, timed)
     if problems:
         raise refusal(loaded.document, sorted(problems, key=lambda problem: problem.path[1]))
@@ -49,8 +58,8 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
 def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
     """Remark on loads (numbered from 0) whose head is partly over the sheet's edge."""
     return {
-        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at {_format_place(load)} is partly over"
-        " the sheet's edge; only what lies on the sheet is pressed"
+        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at ({load.x_mm:g}, {load.y_mm:g}) mm is"
+        " partly over the sheet's edge; only what lies on the sheet is pressed"
         for index, load in enumerate(plan.loads)
         if _over_the_edge(plan.indenter, load, sensor_type)
     }
@@ -67,13 +76,6 @@ def _over_the_edge(head: Indenter, load: SceneLoad, sensor_type: SensorType) -> 
 
 def _clearance_mm(sensor_type: SensorType, load: SceneLoad) -> float:
     return float(sensor_type.outline.clearance_mm(np.array([load.place_mm]))[0])
-
-
-def _off_the_sheet(plan: ScenePlan, sensor_type: SensorType) -> Iterator[Problem]:
-    for index, load in enumerate(plan.loads):
-        if _clearance_mm(sensor_type, load) < 0:
-            finding = f"is {plainly(load.x_mm)} with y_mm = {plainly(load.y_mm)}, off the sheet"
-            yield Problem(("loads", index, "x_mm"), f"{finding}; the sheet {sensor_type.outline.words()}")
 
 
 def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
@@ -137,10 +139,6 @@ def _overlap(head: Indenter, load: SceneLoad, other: SceneLoad) -> bool:
     corners = head.footprint_at(*other.place_mm).outline_mm()
     shared = head.footprint_at(*load.place_mm).area_under_edges_mm2(corners, np.roll(corners, -1, axis=0)).sum()
     return bool(shared > 1e-9 * head.area_mm2)
-
-
-def _format_place(load: SceneLoad) -> str:
-    return f"({load.x_mm:g}, {load.y_mm:g}) mm"
 
 
 def _up(time_s: float) -> str:

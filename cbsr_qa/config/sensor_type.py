@@ -27,7 +27,6 @@ from cbsr_qa.domain.sensor.electrodes import (
 from cbsr_qa.domain.sensor.mesh import Mesh, mesh_of_arrays
 from cbsr_qa.domain.sensor.patterns import DrivePattern, Pairs, imaging_problems, is_rule, list_pairs, pair_problems
 from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
-from cbsr_qa.eit.mesh.files import mesh_sensor
 from cbsr_qa.plugin.problems import Problem, Table
 
 Positive = Annotated[float, Field(gt=0)]
@@ -93,13 +92,12 @@ def _rule_or_pairs(value: object) -> object:
     if isinstance(value, str):
         if not is_rule(value):
             raise ValueError("allowed: 'adjacent', 'opposite', 'skip-1', 'skip-2' and so on, or pairs [[0, 1], …]")
-    elif not isinstance(value, list) or not all(_is_pair(pair) for pair in value):
+    elif not isinstance(value, list) or not all(
+        isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
+        for pair in value
+    ):
         raise ValueError("it must be the name of a rule or an array of pairs of electrodes, [[0, 1], …]")
     return value
-
-
-def _is_pair(pair: object) -> bool:
-    return isinstance(pair, list) and len(pair) == 2 and all(type(electrode) is int for electrode in pair)
 
 
 RuleOrPairs = Annotated[str | list[list[int]], PlainValidator(_rule_or_pairs)]
@@ -311,6 +309,8 @@ class SensorTypeFile(FileModel[SensorType]):
         pattern = DrivePattern(count, *(self.pattern.pairs(kind, count) for kind in ("drive", "measure")))
         response = Response(sheet.response)
         if sheet.mesh is not None:
+            from cbsr_qa.eit.mesh.files import mesh_sensor  # few sheets have a mesh of their own
+
             return mesh_sensor(sheet.name, sheet.mesh, pattern, thickness_mm=sheet.thickness_mm, response=response)
         outline, layout = self._outline, self._layout
         assert outline is not None

@@ -4,10 +4,31 @@ from collections.abc import Callable, Sequence
 from pathlib import Path
 
 from cbsr_qa.app.gate.request import Override
+from cbsr_qa.app.run.console import Unattended
 from cbsr_qa.app.run.outcome import run_outcome
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.interface.result import Progress, quiet
 from cbsr_qa.interface.stored_run import Run
+
+
+class _Notebook(Unattended):
+    """Functions of a notebook or script; None: nobody answers."""
+
+    def __init__(
+        self, progress: Progress, ask: Callable[[str], str] | None, pin: Callable[[str], str] | None
+    ) -> None:
+        self.attended = ask is not None
+        self._progress, self._ask, self._pin = progress, ask, pin
+
+    def tell(self, activity: str) -> None:
+        self._progress(activity)
+
+    def ask(self, text: str) -> str:
+        return super().ask(text) if self._ask is None else self._ask(text)
+
+    def read_pin(self, text: str) -> str:
+        return "" if self._pin is None else self._pin(text)
 
 
 def run(
@@ -61,6 +82,5 @@ def run(
         why=why,
         override=Override(tuple(override), override_by, override_why),
     )
-    tell = progress or quiet
-    outcome = run_sensor(request, tell=tell, ask=ask, pin=pin, show=tell)
+    outcome = run_sensor(request, _Notebook(progress or quiet, ask, pin))
     return Run(outcome.run, database, run_outcome(outcome))

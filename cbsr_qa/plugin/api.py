@@ -179,7 +179,6 @@ from cbsr_qa.plugin.interfaces import (
     SheetEffect as SheetEffect,
     SwitchingEffect as SwitchingEffect,
 )
-from cbsr_qa.plugin.links.serial_link import SerialLink as SerialLink
 from cbsr_qa.plugin.options import (
     Array as Array,
     PluginOptions as PluginOptions,

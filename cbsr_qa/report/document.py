@@ -4,10 +4,13 @@ import json
 from dataclasses import dataclass
 from functools import lru_cache
 from pathlib import Path
-from typing import Any, Final, TypeVar
+from typing import Any, Final, Self, TypeVar
 
 from pydantic import Field, TypeAdapter
 from pydantic.json_schema import GenerateJsonSchema
+
+from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.imaging import ParameterChoice
 
 T = TypeVar("T")
 
@@ -21,6 +24,21 @@ class Refusal:
 
     reason: str
     remedy: str
+
+
+@dataclass(frozen=True, slots=True)
+class ChosenParameter:
+    """A regularisation parameter, its criterion and reason, and the matrix's noise figure (Adler et al. 2009)."""
+
+    name: str
+    value: float
+    criterion: str | None
+    reason: str
+    noise_figure: float
+
+    @classmethod
+    def from_choice(cls, choice: ParameterChoice) -> Self:
+        return fill_from_object(cls, choice, criterion=choice.criterion or None, reason=choice.how)
 
 
 def json_document(result: Any) -> dict[str, Any]:

@@ -153,9 +153,12 @@ class Bench:
         InstrumentError if one does not answer, or is not the one in the station file.
         """
         emulates = any(mounted.spec.emulated for mounted in self.mounted)
-        return tuple(
-            identity_of(mounted, emulated=emulates and _works_through_others(mounted)) for mounted in self.mounted
-        )
+        identities = []
+        for mounted in self.mounted:
+            # Without an address of its own, an instrument is as real as those it is linked to.
+            linked = isinstance(mounted.instrument, Linked) and "address" not in mounted.spec.options
+            identities.append(identity_of(mounted, emulated=emulates and linked))
+        return tuple(identities)
 
     def name_of(self, instrument: object) -> str:
         return next(
@@ -216,11 +219,6 @@ def _urgency(mounted: Mounted) -> int:
     return min(ranks, default=len(_FIRST_SAFE))
 
 
-def _works_through_others(mounted: Mounted) -> bool:
-    """Whether an instrument has no own address: it is as real as the instruments it is linked to."""
-    return isinstance(mounted.instrument, Linked) and "address" not in mounted.spec.options
-
-
 def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdentity:
     """Return the identity of one instrument; see :meth:`Bench.identities`.
 
@@ -229,13 +227,14 @@ def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdenti
     with blame_plugin(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
         identity = mounted.instrument.identity()
     _recognise(mounted.spec, identity)
+    address = mounted.spec.options.get("address")
     return replace(
         identity,
         role=mounted.spec.role,
         driver=mounted.spec.driver,
         simulated=identity.simulated or mounted.spec.emulated or emulated,
         calibration_due=mounted.spec.calibration_due,
-        notes=(*_address(mounted.spec), *identity.notes),
+        notes=(*(() if address is None else (("address", str(address)),)), *identity.notes),
     )
 
 
@@ -262,12 +261,6 @@ def _names(expected: str, found: str) -> bool:
     )
 
 
-def _address(spec: InstrumentSpec) -> tuple[tuple[str, str], ...]:
-    """Return the address in the station file as a note to the identity; empty without one."""
-    address = spec.options.get("address")
-    return () if address is None else (("address", str(address)),)
-
-
 def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
     peers = {role: mounting.instrument for role, mounting in filled.items()}
     for mounting in mounted:
@@ -291,17 +284,14 @@ def _check_role(mounted: Mounted, role: str) -> Mounted:
         )
     protocol = _PROTOCOLS.get(role, Sampler)
     if not isinstance(mounted.instrument, protocol):
-        missing_members = sorted(name for name in _members(protocol) if not hasattr(mounted.instrument, name))
+        members = {name for kind in protocol.__mro__ for name in vars(kind) if not name.startswith("_")}
+        missing_members = sorted(name for name in members if not hasattr(mounted.instrument, name))
         raise ConfigError(
             f"instrument {mounted.name} is configured to provide {role!r} but is not a {protocol.__name__}:"
             f" it lacks {', '.join(missing_members)}",
             remedy="correct 'provides' in the station file, or use another driver",
         )
     return mounted
-
-
-def _members(protocol: type) -> set[str]:
-    return {name for kind in protocol.__mro__ for name in vars(kind) if not name.startswith("_")}
 
 
 def _find_role(filled: dict[str, Mounted], role: str) -> Any:

@@ -94,7 +94,8 @@ class Documents:
             except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
                 reason = failure(error)
                 self._listeners.remove(listener)
-                self._warn(f"{_name(listener)} failed and receives no further events: {reason}")
+                name = getattr(listener, "__qualname__", type(listener).__qualname__)
+                self._warn(f"{name} failed and receives no further events: {reason}")
 
 
 def _describe_unstored(event: RunEnded, error: SafetyError) -> str:
@@ -103,10 +104,6 @@ def _describe_unstored(event: RunEnded, error: SafetyError) -> str:
         return event.detail
     end = ": ".join(filter(None, [str(event.end), event.detail]))
     return "; ".join(filter(None, [error.reason, error.remedy, f"before that the run was {end}"]))
-
-
-def _name(listener: Subscriber) -> str:
-    return getattr(listener, "__qualname__", type(listener).__qualname__)
 
 
 E = TypeVar("E", FramesTaken, LoadFinished, SamplesTaken, Unloaded)

@@ -155,7 +155,10 @@ class _DryWalk:
 
     def violations(self) -> tuple[str, ...]:
         """Return every broken limit once, with the first step that breaks it and how many later ones do."""
-        return tuple(place + violation + _also(later) for violation, (place, later) in self.broken.items())
+        return tuple(
+            f"{place}{violation}" + (f" (also at {later} later step{'s' * (later > 1)})" if later else "")
+            for violation, (place, later) in self.broken.items()
+        )
 
     def _note(self, what: str, where: str = "") -> None:
         first_place, later = self.broken.get(what, (where, -1))
@@ -195,7 +198,8 @@ class _DryWalk:
             case AcquireFrames(count=count):
                 if count < 1:
                     yield Violation("order", f"{count} frames; at least 1 is needed")
-                self._take(count, Activity.FRAMES)
+                self.frames += max(count, 0)
+                self.spent.add(Activity.FRAMES, max(count, 0) * self.frame_period_s)
             case MarkUnloaded():
                 if self.depth_mm is not None:
                     yield Violation("order", "the head is down, so the sheet is not unloaded")
@@ -245,16 +249,8 @@ class _DryWalk:
             self.frames += count
             self.spent.add(kind, max(step.hold_s, count * self.frame_period_s))
 
-    def _take(self, count: int, kind: Activity) -> None:
-        self.frames += max(count, 0)
-        self.spent.add(kind, max(count, 0) * self.frame_period_s)
-
     def _travel(self, x_mm: float, y_mm: float) -> None:
         distance_mm = kinematics.distance_mm(self.place_mm, (x_mm, y_mm))
         self.travel_mm += distance_mm
         self.spent.add(Activity.TRAVEL, kinematics.travel_s(self.plan.motion, distance_mm))
         self.place_mm = (x_mm, y_mm)
-
-
-def _also(later: int) -> str:
-    return f" (also at {later} later step{'s' * (later > 1)})" if later else ""

@@ -44,24 +44,25 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         _log.debug("the run ended while %s", where, exc_info=error)
     if before is not None:
         reason, detail = before
-        return reason, f"{detail}; {_during_retreat(error, at_once)}"
+        if isinstance(error, AbortedError | KeyboardInterrupt):
+            return reason, f"{detail}; {at_once or 'a second signal'} ended it at once"
+        return reason, f"{detail}; lifting the head failed: {_what(error)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
         stopper = error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
         if at_once:
             stopper = at_once if stopper in at_once else f"{stopper} and at once by {at_once}"
         return EndReason.ABORTED, f"by {stopper}, {where}"
-    return EndReason.BROKEN, f"{_what(error)}, {where}{_remedy(error)}"
+    cause = error.error if isinstance(error, BrokenInto) else error
+    remedy = f"; {cause.remedy}" if isinstance(cause, CbsrError) and cause.remedy else ""
+    return EndReason.BROKEN, f"{_what(error)}, {where}{remedy}"
 
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
     """Report instruments that did not reach their safe state; the run is then broken in any case."""
     warnings = [f"NOT SAFE: {instrument}; check the bench before touching it" for instrument in silent]
-    return EndReason.BROKEN, "; ".join([*filter(None, [_describe_ending(end)]), *warnings])
-
-
-def _describe_ending(end: Ending) -> str:
     reason, detail = end
-    return f"aborted {detail}" if reason is EndReason.ABORTED else detail
+    ending = f"aborted {detail}" if reason is EndReason.ABORTED else detail
+    return EndReason.BROKEN, "; ".join([*filter(None, [ending]), *warnings])
 
 
 def _what(error: BaseException) -> str:
@@ -76,18 +77,6 @@ def _what(error: BaseException) -> str:
             return error.reason
         case _:
             return f"error {describe_error(error)}"
-
-
-def _remedy(error: BaseException) -> str:
-    cause = error.error if isinstance(error, BrokenInto) else error
-    remedy = cause.remedy if isinstance(cause, CbsrError) else ""
-    return f"; {remedy}" if remedy else ""
-
-
-def _during_retreat(error: BaseException, at_once: str) -> str:
-    if isinstance(error, AbortedError | KeyboardInterrupt):
-        return f"{at_once or 'a second signal'} ended it at once"
-    return f"lifting the head failed: {_what(error)}"
 
 
 def execute(

@@ -40,10 +40,6 @@ def on_stderr(line: str) -> None:
         os.write((sys.__stderr__ or sys.stderr).fileno(), f"{line}\n".encode())
 
 
-def _nobody(line: str) -> None:
-    """Discard the notice."""
-
-
 class Interrupts:
     """While entered, signals end the run at a safe moment.
 
@@ -67,7 +63,7 @@ class Interrupts:
         self.waiting: Callable[[], bool] = lambda: False
         #: Function called on the first signal, to shorten the deadline of the current call.
         self.hurry: Callable[[], None] = lambda: None
-        self._tell = tell if multiprocessing.parent_process() is None else _nobody
+        self._tell = tell if multiprocessing.parent_process() is None else lambda line: None
         self._redelivery = Redelivery()
         self._before: dict[signal.Signals, Any] = {}
         self._alarm_before: Any = None

@@ -17,7 +17,6 @@ from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.instruments import Instrument, StationContext
-from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.station.bench import Action, Bench, open_bench
 from cbsr_qa.station.plan import Plan, PlannedPhase
@@ -92,6 +91,8 @@ def station_clock(configuration: Configuration) -> Clock:
     """Return the station's clock; emulated instruments have their own kind."""
     speed = configuration.station.clock_speed
     if configuration.station.emulated_scene is not None:
+        from cbsr_qa.simulate.instruments.streams import WatchedClock  # other stations have no emulators
+
         return WatchedClock(speed=speed)
     return VirtualClock(speed=speed) if configuration.station.clock == "virtual" else RealClock()
 
@@ -171,12 +172,14 @@ def _emulation(
         return None
     for spec in station.instruments:
         plugins.factory(Kind.INSTRUMENT, spec.driver)  # a misspelt name is not a driver without an emulator
+    from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation  # other stations have no emulators
+    from cbsr_qa.simulate.instruments.streams import WatchedClock
+
     if station.clock != "virtual" or not isinstance(clock, WatchedClock):
         raise ConfigError(
             f"station {station.name!r} emulates instruments on a real clock",
             remedy='set clock = "virtual": emulated time advances by commands, without waiting',
         )
-    from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation  # other stations have no emulators
 
     world = SimulatedWorld(
         load_scene(station.emulated_scene).value,

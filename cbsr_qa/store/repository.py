@@ -2,8 +2,9 @@
 
 from collections.abc import Callable, Sequence
 from datetime import datetime, timedelta
+from functools import cached_property
 from types import TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from sqlalchemy import Engine, func, select
 
@@ -15,27 +16,29 @@ from cbsr_qa.store.changes import Changes
 from cbsr_qa.store.chart_references import ChartReferences
 from cbsr_qa.store.damage import address, name_database, translate_errors
 from cbsr_qa.store.engine import parse_url, reading, sqlite_file
-from cbsr_qa.store.fleet import Fleet
-from cbsr_qa.store.listed import RunLists
 from cbsr_qa.store.locks import Claims
-from cbsr_qa.store.releases import Releases
 from cbsr_qa.store.results.analyses import Analyses
-from cbsr_qa.store.results.calibrations import Calibrations
-from cbsr_qa.store.results.reanalyses import Reanalyses
-from cbsr_qa.store.runs.archiving import RunArchives
 from cbsr_qa.store.runs.journal import Journal
-from cbsr_qa.store.runs.live import LiveRuns
 from cbsr_qa.store.runs.outcomes import SensorRuns
 from cbsr_qa.store.runs.runs import Runs
-from cbsr_qa.store.runs.sessions import UnfinishedRuns
-from cbsr_qa.store.soundness import Soundness
 from cbsr_qa.store.stations import StationChecks
-from cbsr_qa.store.sync.queue import Backlog, backlog, name_unread
 from cbsr_qa.store.tables.gate import ReleaseRow
 from cbsr_qa.store.tables.records import ChartReferenceRow, StationCheckRow, VerdictOverrideRow
 from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
 from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, SampleBlockRow, SensorRow
 from cbsr_qa.store.types import IdSource, time_of_id
+
+if TYPE_CHECKING:
+    from cbsr_qa.store.fleet import Fleet
+    from cbsr_qa.store.listed import RunLists
+    from cbsr_qa.store.releases import Releases
+    from cbsr_qa.store.results.calibrations import Calibrations
+    from cbsr_qa.store.results.reanalyses import Reanalyses
+    from cbsr_qa.store.runs.archiving import RunArchives
+    from cbsr_qa.store.runs.live import LiveRuns
+    from cbsr_qa.store.runs.sessions import UnfinishedRuns
+    from cbsr_qa.store.soundness import Soundness
+    from cbsr_qa.store.sync.queue import Backlog
 
 #: Least difference between the clocks of computers that share a database at which a warning is given.
 _CLOCKS_DIFFER: Final = timedelta(minutes=1)
@@ -67,21 +70,68 @@ class Repository:
         self._wall = wall
         self._ids = IdSource(wall)
         self.runs = Runs(engine)
-        self.unfinished = UnfinishedRuns(engine)
-        self.live = LiveRuns(engine)
         self.sensors = SensorRuns(engine)
-        self.fleet = Fleet(engine)
-        self.lists = RunLists(engine)
         self.claims = Claims(engine)
-        self.archives = RunArchives(engine)
         self.analyses = Analyses(engine, self.new_id, wall)
-        self.reanalyses = Reanalyses(engine, self.new_id, wall)
-        self.calibrations = Calibrations(engine)
         self.changes = Changes(engine, self.new_id, wall)
         self.stations = StationChecks(engine)
         self.charts = ChartReferences(engine)
-        self.releases = Releases(engine)
-        self.soundness = Soundness(engine)
+
+    # What follows is loaded on first use: a run needs none of it.
+
+    @cached_property
+    def unfinished(self) -> "UnfinishedRuns":
+        from cbsr_qa.store.runs.sessions import UnfinishedRuns
+
+        return UnfinishedRuns(self._engine)
+
+    @cached_property
+    def live(self) -> "LiveRuns":
+        from cbsr_qa.store.runs.live import LiveRuns
+
+        return LiveRuns(self._engine)
+
+    @cached_property
+    def fleet(self) -> "Fleet":
+        from cbsr_qa.store.fleet import Fleet
+
+        return Fleet(self._engine)
+
+    @cached_property
+    def lists(self) -> "RunLists":
+        from cbsr_qa.store.listed import RunLists
+
+        return RunLists(self._engine)
+
+    @cached_property
+    def archives(self) -> "RunArchives":
+        from cbsr_qa.store.runs.archiving import RunArchives
+
+        return RunArchives(self._engine)
+
+    @cached_property
+    def reanalyses(self) -> "Reanalyses":
+        from cbsr_qa.store.results.reanalyses import Reanalyses
+
+        return Reanalyses(self._engine, self.new_id, self._wall)
+
+    @cached_property
+    def calibrations(self) -> "Calibrations":
+        from cbsr_qa.store.results.calibrations import Calibrations
+
+        return Calibrations(self._engine)
+
+    @cached_property
+    def releases(self) -> "Releases":
+        from cbsr_qa.store.releases import Releases
+
+        return Releases(self._engine)
+
+    @cached_property
+    def soundness(self) -> "Soundness":
+        from cbsr_qa.store.soundness import Soundness
+
+        return Soundness(self._engine)
 
     def __enter__(self) -> Self:
         return self
@@ -216,10 +266,14 @@ class Repository:
             finally:
                 connection.close()
 
-    def read_backlog(self) -> Backlog:
+    def read_backlog(self) -> "Backlog":
         """Return the number of items that wait for the central database, and since when."""
+        from cbsr_qa.store.sync.queue import backlog
+
         return backlog(self._engine)
 
     def name_unread_entries(self) -> tuple[str, ...]:
         """Return in words the rows of the outbox that cannot be read; their items are not sent."""
+        from cbsr_qa.store.sync.queue import name_unread
+
         return name_unread(self._engine)

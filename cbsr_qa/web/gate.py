@@ -3,7 +3,8 @@
 from dataclasses import dataclass
 
 from cbsr_qa.app.gate.people import asks_pin, is_pin_of
-from cbsr_qa.app.run.run import RunRequest, preview_gate
+from cbsr_qa.app.run.preview import preview_gate
+from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.config.loader import load_station
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck

@@ -9,7 +9,8 @@ from simulated_runs import observed_run, simulated_run
 from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.verification import verify_calibration
-from cbsr_qa.app.run.run import RunRequest, plan_run
+from cbsr_qa.app.run.preview import plan_run
+from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.loader import load_recipe

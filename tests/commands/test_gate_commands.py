@@ -6,7 +6,9 @@ from killing import BEGIN, killed, latest_run, write_files
 from stored_lots import judged, store_run
 
 from cbsr_qa.app.gate.gate import ask_before, gate_refusal
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.console import Unattended
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck
@@ -116,14 +118,23 @@ def test_files_that_change_while_the_pin_is_asked_for_are_refused(tmp_path, monk
     station = write_station(tmp_path, gate)
     recipe = tmp_path / short_recipe(tmp_path, metrics=["centre-of-mass-error"])
 
-    def pin(_):
-        recipe.write_text(recipe.read_text().replace("upper = 6.5", "upper = 65"))
-        return "4711"
+    class Typing(Unattended):
+        def read_pin(self, text):
+            recipe.write_text(recipe.read_text().replace("upper = 6.5", "upper = 65"))
+            return "4711"
 
     request = RunRequest(station=station, recipe=str(recipe), serial="S-1", operator="Grace")
     with pytest.raises(RefusedError, match="files of this run were changed while the gate was asked"):
-        run_sensor(request, pin=pin)
+        run_sensor(request, Typing())
     assert not list(tmp_path.rglob("*.db"))
+
+
+class Watching(Unattended):
+    def __init__(self):
+        self.told = []
+
+    def tell(self, activity):
+        self.told.append(activity)
 
 
 def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(tmp_path, monkeypatch):
@@ -132,12 +143,12 @@ def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(
     recipe = short_recipe(tmp_path, metrics=["centre-of-mass-error"])
     request = RunRequest(station=station, recipe=str(tmp_path / recipe), serial="S-1")
     name = request.configuration(0).recipe.name
-    asked = []
+    watching = Watching()
     with open_store(f"sqlite:///{tmp_path / 'var' / 'cbsr-qa.db'}") as store:
         with store.claims.claim_sensor("S-1", name, "Ada") as nobody:
             assert nobody == ""
             with pytest.raises(RefusedError, match=f"S-1 is being tested with {name} now, by Ada on "):
-                run_sensor(request, tell=asked.append)
+                run_sensor(request, watching)
 
         def passed_meanwhile(*arguments):
             answers = ask_before(*arguments)
@@ -147,6 +158,6 @@ def test_of_two_runs_of_a_sensor_that_begin_together_one_is_refused_as_a_retest(
 
         monkeypatch.setattr("cbsr_qa.app.run.run.ask_before", passed_meanwhile)
         with pytest.raises(RefusedError, match=f"S-1 already passed {name}"):
-            run_sensor(request, tell=asked.append)
-        assert "running the station" not in asked
+            run_sensor(request, watching)
+        assert "running the station" not in watching.told
         assert len(store.lists.read_runs()) == 1

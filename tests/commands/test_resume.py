@@ -34,7 +34,8 @@ from pages import HOW_TO, commands, typed
 
 import cbsr_qa as qa
 from cbsr_qa.app.run import conclusion
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.domain.errors import UnconcludedError
 from cbsr_qa.store.opening import open_store
 

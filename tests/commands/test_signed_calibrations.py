@@ -11,8 +11,10 @@ from pages import HOW_TO, blocks, commands, typed
 from streamed import write_sensor
 
 import cbsr_qa as qa
+from cbsr_qa.app.run.console import Unattended
+from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.resume import resume_run
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.calibration.file.keys import new_key
 from cbsr_qa.domain.errors import BrokenRunError
 
@@ -75,9 +77,14 @@ def test_a_key_that_is_gone_when_the_run_ends_issues_nothing_until_it_is_back(fo
     monkeypatch.setenv("CBSR_QA_VAR", str(folder / "var"))
     key, away = folder / "station.key", folder / "away.key"
     new_key(key)
+
+    class Removing(Unattended):
+        def begin(self, run):
+            key.rename(away)
+
     request = RunRequest("bench.toml", "recipe.toml", "S-1", seed=5, operator="Z")
     with pytest.raises(BrokenRunError, match="its calibration cannot be signed, and is not issued") as error:
-        run_sensor(request, begun=lambda run: key.rename(away))
+        run_sensor(request, Removing())
     assert "then this computes the result: cbsr-qa" in error.value.remedy
     assert not list((folder / "var" / "calibrations").glob("*.h5"))
     away.rename(key)

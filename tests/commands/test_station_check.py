@@ -9,6 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 
+from cbsr_qa.app.run.console import Unattended
 from cbsr_qa.app.station_check import check as station_check, outcome
 from cbsr_qa.app.station_check.bench import BenchFindings
 from cbsr_qa.app.station_check.check import CheckRequest, check_station
@@ -270,7 +271,15 @@ def test_on_a_real_bench_what_must_be_connected_is_asked_for_before_contacts_are
     monkeypatch.setattr(station_check, "_golden", lambda *arguments: told.append("golden run"))
     monkeypatch.setattr(station_check, "_check", lambda *arguments: CHECK)
     asked = CheckRequest("simulated", golden="G-1", ring_ohm=1e4 if ring else None)
-    check_station(asked, ask=lambda words: told.append(words.partition(".")[0]) or "")
+
+    class Confirming(Unattended):
+        attended = True
+
+        def ask(self, text):
+            told.append(text.partition(".")[0])
+            return ""
+
+    check_station(asked, Confirming())
     place = "Put golden sensor G-1 on the station"
     assert told == (
         ["look", "Connect the reference ring", place, "golden run"] if ring else [place, "look", "golden run"]

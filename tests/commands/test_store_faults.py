@@ -11,8 +11,9 @@ import pytest
 from killing import frames_of_loads, write_files
 from made_once import made_once
 
+from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.resume import resume_run
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.domain.errors import BrokenRunError, StoreError
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store import engine as engines

@@ -8,8 +8,9 @@ from pathlib import Path
 import pytest
 from killing import write_files
 
+from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.resume import resume_run
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.runs.journal import Journal

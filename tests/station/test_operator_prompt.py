@@ -9,9 +9,12 @@ import pytest
 from station_files import station_file
 
 from cbsr_qa.app.run import session as running
-from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
+from cbsr_qa.app.run.console import Unattended
+from cbsr_qa.app.run.preview import plan_run
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.cli.main import run_guarded
-from cbsr_qa.cli.output import ask_operator, operator_at_terminal
+from cbsr_qa.cli.output import ask_operator, operator_is_there
 from cbsr_qa.domain.errors import AbortedError, ConfigError, StoppedError
 from cbsr_qa.station.interrupts import Stopped
 
@@ -77,11 +80,11 @@ def test_an_input_that_ends_stops_the_run(monkeypatch):
 
 
 def test_an_operator_is_there_only_at_a_terminal(terminal, monkeypatch):
-    assert operator_at_terminal() is ask_operator
+    assert operator_is_there()
     monkeypatch.setattr(sys, "stdin", io.StringIO("yes\n"))
-    assert operator_at_terminal() is None
+    assert not operator_is_there()
     monkeypatch.setattr(sys, "stdin", None)
-    assert operator_at_terminal() is None
+    assert not operator_is_there()
 
 
 def test_without_a_terminal_a_station_worked_by_hand_is_refused(station, monkeypatch, capsys, tmp_path):
@@ -108,9 +111,12 @@ def test_a_dry_run_asks_nobody(station):
 def test_instruments_and_prompts_are_given_the_operator(station, monkeypatch):
     texts, given = [], []
 
-    def ask(text):
-        texts.append(text)
-        return "yes"
+    class Answering(Unattended):
+        attended = True
+
+        def ask(self, text):
+            texts.append(text)
+            return "yes"
 
     def executed(*_, **options):
         given.append(options["ask"])
@@ -125,7 +131,7 @@ def test_instruments_and_prompts_are_given_the_operator(station, monkeypatch):
     monkeypatch.setattr(running, "open_station", opening)
     monkeypatch.setattr(running, "execute", executed)
     with pytest.raises(StoppedError):
-        run_sensor(RunRequest(station, "nine-locations", "S-1", seed=1), ask=ask)
+        run_sensor(RunRequest(station, "nine-locations", "S-1", seed=1), Answering())
     assert len(given) == 2
     assert [one("?") for one in given] == ["yes", "yes"]
     with pytest.raises(ConfigError, match="operated by hand"):

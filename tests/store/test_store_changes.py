@@ -15,7 +15,8 @@ from stored_runs import SETTING, calibration, identity, short_run
 
 from cbsr_qa.app.changes import override_verdict
 from cbsr_qa.app.run.render import render_stored
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict

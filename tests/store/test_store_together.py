@@ -11,7 +11,8 @@ import pytest
 from later_schema import LATER, add_revision
 from stored_runs import journalled, short_run
 
-from cbsr_qa.app.run.run import RunRequest, default_seed, run_sensor
+from cbsr_qa.app.run.request import RunRequest, default_seed
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.app.run.session import Session
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store import locks, schema

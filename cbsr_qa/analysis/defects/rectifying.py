@@ -2,7 +2,7 @@
 
 import numpy as np
 
-from cbsr_qa.calibration.presses.likeness import AnsweringSide, compare_sides
+from cbsr_qa.calibration.presses.answering import AnsweringSide, compare_sides
 from cbsr_qa.domain.numbers import Array
 
 _LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings

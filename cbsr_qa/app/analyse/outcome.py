@@ -11,7 +11,6 @@ from pydantic import Field, InstanceOf
 from cbsr_qa.domain.errors import CbsrError, RowProblem
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.goodness import Goodness
-from cbsr_qa.domain.imaging import ParameterChoice
 from cbsr_qa.domain.readings.frames import Recording, ScanKind
 from cbsr_qa.domain.results.findings import (
     ChannelReport,
@@ -24,26 +23,11 @@ from cbsr_qa.domain.results.findings import (
 )
 from cbsr_qa.domain.results.report import Block, CommandOutcome, Paragraph, Section
 from cbsr_qa.domain.sensor.sensor_type import SensorType
-from cbsr_qa.report.document import IF_GIVEN, Refusal
+from cbsr_qa.report.document import IF_GIVEN, ChosenParameter, Refusal
 from cbsr_qa.report.heads import recording_page
 from cbsr_qa.report.tables import format_fixed, plural, text_table
 
 _USED_FOR: Final = "images of the events and their descriptions; events are found in the readings, without images"
-
-
-@dataclass(frozen=True, slots=True)
-class ChosenParameter:
-    """A regularisation parameter, its criterion and reason, and the matrix's noise figure (Adler et al. 2009)."""
-
-    name: str
-    value: float
-    criterion: str | None
-    reason: str
-    noise_figure: float
-
-    @classmethod
-    def from_choice(cls, choice: ParameterChoice) -> Self:
-        return fill_from_object(cls, choice, criterion=choice.criterion or None, reason=choice.how)
 
 
 @dataclass(frozen=True, slots=True)

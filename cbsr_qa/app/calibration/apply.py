@@ -299,7 +299,10 @@ def _table(recording: Applied) -> Table:
         time, x, y = (
             "–" if value is None else format_fixed(value, 1) for value in (frame.time_s, frame.x_mm, frame.y_mm)
         )
-        rows.append((time, force, x, y, frame.flags, _format_settling(frame)))
+        settled = "–" if frame.settled_in_s is None else ""
+        if frame.settled_in_s:
+            settled = format_fixed(frame.settled_in_s, 0)
+        rows.append((time, force, x, y, frame.flags, settled))
     spread = (
         ""
         if len(frame_numbers) == count
@@ -307,12 +310,6 @@ def _table(recording: Applied) -> Table:
     )
     caption = f"{spread}Force with one standard error, and where the head presses. {_SETTLED}"
     return text_table(caption, _HEADINGS, rows, (0, 1, 2, 3, 5))
-
-
-def _format_settling(frame: FrameForce) -> str:
-    if frame.settled_in_s is None:
-        return "–"
-    return format_fixed(frame.settled_in_s, 0) if frame.settled_in_s else ""
 
 
 def write_table(path: Path, table: str) -> None:

@@ -16,7 +16,7 @@ from cbsr_qa.app.export.junit import suite, suites
 from cbsr_qa.app.export.netcdf import frame_variables, netcdf_file
 from cbsr_qa.app.export.tables import AT_ONCE, rows_of, table_writer
 from cbsr_qa.app.run.decided_again import check_listed
-from cbsr_qa.app.shift.lists import ListRequest, RunPage, run_pages, trust_counts, trust_notes
+from cbsr_qa.app.shift.lists import ListRequest, run_pages, trust_counts, trust_notes
 from cbsr_qa.app.shift.report import exit_code
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import RefusedError, StoreError
@@ -230,7 +230,9 @@ def _export_runs(
                 rows, runs = rows + written, runs + len(page.runs)
                 altered_names += altered_runs
                 trust_totals += trust_counts(page.runs)
-                _tell(page, tell)
+                done_before = max(page.done - AT_ONCE, 0)
+                if page.total > AT_ONCE and page.done * _STEPS // page.total > done_before * _STEPS // page.total:
+                    tell(f"{page.done} of {page.total} runs")
         if not runs:
             raise RefusedError(
                 "no run is selected: there is nothing to export",
@@ -281,13 +283,6 @@ def _writer(
             return len(rows), altered
 
         yield add_rows
-
-
-def _tell(page: RunPage, tell: Callable[[str], None]) -> None:
-    """Report every tenth part of many runs."""
-    done_before = max(page.done - AT_ONCE, 0)
-    if page.total > AT_ONCE and page.done * _STEPS // page.total > done_before * _STEPS // page.total:
-        tell(f"{page.done} of {page.total} runs")
 
 
 def _outcome(exported: Exported, words: str, facts: tuple[tuple[str, str], ...] = ()) -> CommandOutcome[Exported]:

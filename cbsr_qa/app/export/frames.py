@@ -90,7 +90,12 @@ def run_frames(record: RunRecord, phases: tuple[PhaseRecord, ...]) -> RunFrames:
     measured = [(p, p.frames) for p in phases if p.frames is not None and len(p.frames)]
     if not measured:
         raise missing_frames_error(record, phases)
-    return frames_of([(p.name, frames, _loads(p)) for p, frames in measured])
+    return frames_of(
+        [
+            (phase.name, frames, sorted((*phase.loads, *phase.loops), key=lambda load: load.index))
+            for phase, frames in measured
+        ]
+    )
 
 
 def frames_of(measured: Sequence[tuple[str, FrameBlock, Sequence[LoadRecord]]]) -> RunFrames:
@@ -125,10 +130,6 @@ def join_channels(phases: tuple[PhaseRecord, ...]) -> tuple[SampleBlock, ...]:
         for block in phase.samples:
             channels.setdefault(block.channel, []).append(block)
     return tuple(join_samples(blocks) for blocks in channels.values())
-
-
-def _loads(phase: PhaseRecord) -> list[LoadRecord]:
-    return sorted((*phase.loads, *phase.loops), key=lambda load: load.index)
 
 
 def _join_blocks(blocks: list[FrameBlock]) -> FrameBlock:

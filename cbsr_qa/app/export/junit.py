@@ -52,7 +52,9 @@ def suite(run: ListedRun, judged: Sequence[Measurement]) -> bytes:
         SubElement(properties, "property", name=name, value=_text(str(getattr(run, name) or "")))
     results = Counter[str]()
     for name, kind, category, text in _cases(run, judged):
-        case = SubElement(element, "testcase", classname=_class(run), name=_text(name))
+        # Recipe and sensor: servers take what is before the last dot for a package.
+        classname = ".".join(_text(part).replace(".", "_") for part in (run.recipe, run.serial))
+        case = SubElement(element, "testcase", classname=classname, name=_text(name))
         results[kind] += 1
         if kind in ("failure", "error"):
             SubElement(case, kind, message=_text(text), type=category).text = _text(text)
@@ -91,11 +93,6 @@ def _cases(run: ListedRun, judged: Sequence[Measurement]) -> Iterator[tuple[str,
             kind, text = "skipped", f"{override}; {text}"
         marginal = f"marginal: {text}" if measurement.outcome is Outcome.MARGINAL else ""
         yield name, kind, str(measurement.outcome), text if kind else marginal
-
-
-def _class(run: ListedRun) -> str:
-    """Recipe and sensor: servers take what is before the last dot for a package."""
-    return ".".join(_text(name).replace(".", "_") for name in (run.recipe, run.serial))
 
 
 def _text(text: str) -> str:

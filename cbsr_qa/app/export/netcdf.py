@@ -36,11 +36,17 @@ def frame_variables(
     """Return the variables of frames: readings, events, pairs and electrodes, and the samples of other channels."""
     coordinates = [*_time_variables(frames), *_pattern_variables(sensor_type)]
     coordinate_names = " ".join(variable.name for variable in coordinates)
+    electrodes = [
+        Variable(
+            f"electrode_{axis}", ("electrode",), np.ascontiguousarray(place_mm), "place from the sheet's centre", "mm"
+        )
+        for axis, place_mm in zip("xy", sensor_type.electrodes.positions_mm().T, strict=True)
+    ]
     variables = [
         *_dimensions(sensor_type, frames),
         *coordinates,
         *_readings(frames, coordinate_names),
-        *_electrodes(sensor_type),
+        *electrodes,
     ]
     names_taken = {variable.name for variable in variables}
     for block in samples:
@@ -121,13 +127,6 @@ def _pattern_variables(sensor_type: SensorType) -> Iterator[Variable]:
     yield Variable("measure_minus", ("measure",), measure[:, 1], "negative electrode of the reading")
     usable = pattern.usable().astype(np.uint8)
     yield Variable("usable", ("drive", "measure"), usable, "1: the reading touches no driven electrode")
-
-
-def _electrodes(sensor_type: SensorType) -> Iterator[Variable]:
-    places_mm = sensor_type.electrodes.positions_mm()
-    for axis, name in enumerate("xy"):
-        place_mm = np.ascontiguousarray(places_mm[:, axis])
-        yield Variable(f"electrode_{name}", ("electrode",), place_mm, "place from the sheet's centre", "mm")
 
 
 def _samples(block: SampleBlock, taken: set[str]) -> Iterator[Variable]:

@@ -89,14 +89,12 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
     measured = store.lists.read_measurements([*of_run])
     cells = zip(*(measured.columns[name] for name in _MEASURED), strict=True)
     rows = [(*of_run[run], *values) for run, values in zip(measured.runs, cells, strict=True)]
-    marked = [_mark_altered_run(of_run[run], problem) for run, problem in measured.altered.items()]
+    # An altered run has this row in place of its measurements.
+    marked = [
+        (*of_run[run], *({"outcome": ALTERED, "how": problem}.get(name) for name in _MEASURED))
+        for run, problem in measured.altered.items()
+    ]
     return rows + marked, tuple(measured.altered)
-
-
-def _mark_altered_run(of_run: tuple[Any, ...], problem: str) -> tuple[Any, ...]:
-    """Return the row that a run has in place of its measurements if it was altered."""
-    value_by_column = {"outcome": ALTERED, "how": problem}
-    return (*of_run, *(value_by_column.get(name) for name in _MEASURED))
 
 
 def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:

@@ -92,16 +92,16 @@ def gate_refusal(answers: Iterable[GateAnswer]) -> RefusedError | None:
     if not refused_answers:
         return None
     refused_lines = "\n".join(f"  {answer.check}: {answer.words}" for answer in refused_answers)
-    remedies = [f"{answer.check}: {answer.remedy}{_command(answer)}" for answer in refused_answers if answer.remedy]
+    remedies = [
+        f"{answer.check}: {answer.remedy}" + (f"\n{AT_COMMAND_LINE}{answer.command}" if answer.command else "")
+        for answer in refused_answers
+        if answer.remedy
+    ]
     names = " ".join(f"--override {answer.check}" for answer in refused_answers)
     override = f"{AT_COMMAND_LINE}override by {names} --override-by NAME --override-why TEXT"
     return RefusedError(
         f"the gate of this station refuses the run:\n{refused_lines}", remedy="\n".join([*remedies, override])
     )
-
-
-def _command(answer: GateAnswer) -> str:
-    return f"\n{AT_COMMAND_LINE}{answer.command}" if answer.command else ""
 
 
 def _answer(check: GateCheck, asked: Asked) -> GateAnswer:

@@ -60,8 +60,5 @@ def is_pin_of(settings: GateSettings, operator: str, pin: str) -> bool:
 
 
 def _find_operator(settings: GateSettings, name: str) -> Operator | None:
-    return next((candidate for candidate in settings.operators if _same(candidate.name, name)), None)
-
-
-def _same(one: str, other: str) -> bool:
-    return unicodedata.normalize("NFC", one) == unicodedata.normalize("NFC", other)
+    wanted = unicodedata.normalize("NFC", name)
+    return next((one for one in settings.operators if unicodedata.normalize("NFC", one.name) == wanted), None)

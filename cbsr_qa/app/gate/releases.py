@@ -1,6 +1,6 @@
 """Release configuration files for runs, or withdraw a release."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final
@@ -88,7 +88,14 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
 
 def _kind(file: str) -> DocumentKind:
     """Return what a file is by its table, and a shipped one by its name. Raise ConfigError if it is neither."""
-    kinds = list(_kinds(file))
+    if file.endswith(".toml") or "/" in file or "\\" in file:
+        kinds = []
+        for kind in _LOADERS:
+            with suppress(ConfigError):
+                if kind.table in open_document(kind, file).data:
+                    kinds.append(kind)
+    else:
+        kinds = [kind for kind in _LOADERS if file in list_shipped(kind)]
     if len(kinds) == 1:
         return kinds[0]
     known_kinds = ", ".join(kind.noun for kind in _LOADERS)
@@ -100,16 +107,3 @@ def _kind(file: str) -> DocumentKind:
     raise ConfigError(
         f"{echo(file)} is the name of a {' and a '.join(kind.noun for kind in kinds)}", remedy="give the path"
     )
-
-
-def _kinds(file: str) -> Iterator[DocumentKind]:
-    if file.endswith(".toml") or "/" in file or "\\" in file:
-        yield from (kind for kind in _LOADERS if _has_table(kind, file))
-    else:
-        yield from (kind for kind in _LOADERS if file in list_shipped(kind))
-
-
-def _has_table(kind: DocumentKind, file: str) -> bool:
-    with suppress(ConfigError):
-        return kind.table in open_document(kind, file).data
-    return False

@@ -93,18 +93,15 @@ def past_due(calibration_due: str | None, today: date) -> bool:
 def files_released(asked: Asked) -> Finding:
     """Look for files whose content nobody released, or whose release was withdrawn."""
     files = list_files(asked.configuration)
-    unreleased = [file for file in files if not _is_released(asked.store, file)]
+    releases = None if asked.store is None else asked.store.releases
+    latest = {file: None if releases is None else releases.read_latest(file.kind, file.sha256) for file in files}
+    unreleased = [file for file, release in latest.items() if release is None or release.action != "released"]
     if not unreleased:
         return Finding(True, f"all {len(files)} files are released")
     unreleased_words = ", ".join(
         f"{file.kind} {file.name} ({_state(asked.store, file)}, SHA-256 {file.sha256[:12]})" for file in unreleased
     )
     return Finding(False, unreleased_words, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
-
-
-def _is_released(store: Repository | None, file: FileContent) -> bool:
-    latest = None if store is None else store.releases.read_latest(file.kind, file.sha256)
-    return latest is not None and latest.action == "released"
 
 
 def _state(store: Repository | None, file: FileContent) -> str:

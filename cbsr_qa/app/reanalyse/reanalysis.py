@@ -213,9 +213,11 @@ class _Session:
             )
             if self._request.adopt and overridden is not None:
                 overridden_runs.append(NamedRun.from_line(line, f"overridden to {overridden}"))
-            elif self._request.adopt and not _is_adopted(valid_analysis, self.stored[line.run]):
-                self._store.reanalyses.adopt(self.stored[line.run], operator=self._request.by, why=self._request.why)
-                adopted += 1
+            elif self._request.adopt:
+                adoption, stored = None if valid_analysis is None else valid_analysis.adoption, self.stored[line.run]
+                if adoption is None or adoption.reanalysis != stored:
+                    self._store.reanalyses.adopt(stored, operator=self._request.by, why=self._request.why)
+                    adopted += 1
             progress.step()
         sha256 = None if self._canonical is None else hashlib.sha256(self._canonical.encode()).hexdigest()
         return Reanalysed(
@@ -229,7 +231,7 @@ class _Session:
             adopted=adopted,
             unchanged=unchanged,
             values=tuple(changes.values()),
-            flips=tuple(sorted(flips, key=_gravity)),
+            flips=tuple(sorted(flips, key=lambda flip: (SEVERITY.index(flip.now), flip.run))),
             not_analysed=tuple(self.not_analysed),
             other_plan=tuple(self.other_plan),
             left_overridden=tuple(overridden_runs),
@@ -328,11 +330,3 @@ def _flip(line: RunLine, analyses: Sequence[StoredAnalysis], new: Reanalysis, ov
         overridden_to=overridden,
         calibration=next((analysis.calibration for analysis in analyses if analysis.calibration is not None), None),
     )
-
-
-def _is_adopted(valid: StoredAnalysis | None, reanalysis: str) -> bool:
-    return valid is not None and valid.adoption is not None and valid.adoption.reanalysis == reanalysis
-
-
-def _gravity(flip: Flip) -> tuple[int, str]:
-    return SEVERITY.index(flip.now), flip.run

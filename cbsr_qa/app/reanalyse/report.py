@@ -7,7 +7,7 @@ from typing import Final
 from cbsr_qa.app.reanalyse.changes import Flip, NamedRun, ValueChange
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import MetricKey
-from cbsr_qa.domain.results.report import Banner, Cell, CommandOutcome, Page, Section, Table
+from cbsr_qa.domain.results.report import Banner, Cell, CommandOutcome, Page, Section
 from cbsr_qa.report.tables import duration, number, plural, text_table, unit_shown
 
 #: Rows of a table; JSON has all.
@@ -148,19 +148,13 @@ def _sections(done: Reanalysed) -> Iterator[Section]:
         ("Not adopted", _OVERRIDDEN, done.left_overridden),
     ):
         if runs:
-            yield Section(title, (_run_table(caption, runs),))
+            named = [(run.serial, f"{run.started_at:%Y-%m-%d}", run.why, run.run) for run in runs[:MOST_SHOWN]]
+            headings = ("sensor", "began", "reason", "run")
+            yield Section(title, (text_table(_cut(caption, len(runs)), headings, named),))
     if done.new_warnings:
-        yield Section("New warnings", (_warning_table(done.new_warnings),))
-
-
-def _run_table(caption: str, runs: Sequence[NamedRun]) -> Table:
-    rows = [(run.serial, f"{run.started_at:%Y-%m-%d}", run.why, run.run) for run in runs[:MOST_SHOWN]]
-    return text_table(_cut(caption, len(runs)), ("sensor", "began", "reason", "run"), rows)
-
-
-def _warning_table(warnings: Mapping[str, int]) -> Table:
-    rows = [(str(count), warning) for warning, count in list(warnings.items())[:MOST_SHOWN]]
-    return text_table(_cut(_WARNINGS, len(warnings)), ("runs", "warning"), rows, (0,))
+        counts = [(str(count), warning) for warning, count in list(done.new_warnings.items())[:MOST_SHOWN]]
+        caption = _cut(_WARNINGS, len(done.new_warnings))
+        yield Section("New warnings", (text_table(caption, ("runs", "warning"), counts, (0,)),))
 
 
 def _flip_row(flip: Flip) -> tuple[str | Cell, ...]:

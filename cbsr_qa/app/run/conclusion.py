@@ -143,14 +143,13 @@ def _pause_notes(record: RunRecord) -> Iterator[str]:
 
 def warn_unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
     """Return a warning for each change without a reason."""
-    return tuple(
-        f"{change.kind} {change.name!r} is not what {_describe_run(change.earlier_run)} used: {change.words()};"
-        f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"
-        for change in changes
-        if change.why == NO_REASON
-    )
-
-
-def _describe_run(run: str) -> str:
-    began = time_of_id(run)
-    return f"run {run}" if began is None else f"the run of {began:%Y-%m-%d %H:%M} UTC ({run})"
+    warnings = []
+    for change in changes:
+        if change.why == NO_REASON:
+            earlier, began = change.earlier_run, time_of_id(change.earlier_run)
+            run = f"run {earlier}" if began is None else f"the run of {began:%Y-%m-%d %H:%M} UTC ({earlier})"
+            warnings.append(
+                f"{change.kind} {change.name!r} is not what {run} used: {change.words()};"
+                f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"
+            )
+    return tuple(warnings)

@@ -3,7 +3,10 @@
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
+from typing import Self
 
+from cbsr_qa.app.gate.request import GateRequest
+from cbsr_qa.app.run.console import RunConsole
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.steps import Press
@@ -19,40 +22,49 @@ from cbsr_qa.station.plan import LoadKey, Plan, schedule
 
 @dataclass(slots=True)
 class Control:
-    """What connects a run and its channel.
+    """What connects a run with the people at it, and with those who follow it over its channel.
 
     Parameters
     ----------
+    console : the people at the run.
     sensor : which sensor is tested, where and how.
     """
 
+    console: RunConsole
     desk: ControlDesk
     status: RunStatus
     sensor: SensorUnderTest
     _server: RunServer | None = field(default=None, init=False)
+
+    @classmethod
+    def from_request(
+        cls, configuration: Configuration, asked: GateRequest, console: RunConsole, run: str | None = None
+    ) -> Self:
+        """Return the control of a run, not served yet. ``run``: its identifier if an earlier session began it."""
+        station, recipe = configuration.station, configuration.recipe
+        return cls(
+            console,
+            ControlDesk(answers=console.asks_by_channel),
+            RunStatus(1.0 if station.clock == "real" else station.clock_speed),
+            SensorUnderTest(run, station.name, recipe.name, asked.serial, asked.batch, asked.operator),
+        )
 
     @property
     def subscribers(self) -> tuple[Callable[[RunEvent], None], ...]:
         """To call with every event: first what knows the state, then what sends it."""
         return (self.status, *([] if self._server is None else [self._server]))
 
-    @property
-    def operator(self) -> str:
-        return self.sensor.operator
+    def tell(self, activity: str) -> None:
+        """State what is done now."""
+        self.status.doing(activity)
+        self._notify()
+        self.console.tell(activity)
 
-    def set_run(self, run: str) -> None:
-        """State the run's identifier."""
+    def begin(self, run: str) -> None:
+        """State the identifier of a new run."""
         self.sensor = replace(self.sensor, run=run)
         self._notify()
-
-    def begins(self, begun: Callable[[str], None]) -> Callable[[str], None]:
-        """Return what is called with a run's identifier, and states it here too."""
-
-        def both(run: str) -> None:
-            self.set_run(run)
-            begun(run)
-
-        return both
+        self.console.begin(run)
 
     def set_plan(self, plan: Plan, done: frozenset[LoadKey]) -> None:
         """State what will be pressed, including what an earlier session has pressed."""
@@ -66,28 +78,26 @@ class Control:
         self.status.plan({phase.index: phase.name for phase in phases}, presses, done)
         self._notify()
 
-    def telling(self, tell: Callable[[str], None]) -> Callable[[str], None]:
-        """Return a listener of stages that states them here too."""
-
-        def tell_both(stage: str) -> None:
-            self.status.doing(stage)
-            self._notify()
-            tell(stage)
-
-        return tell_both
-
     @contextmanager
-    def serve(self, station: str, warn: Callable[[str], None]) -> Iterator[None]:
-        """Serve the channel while entered. ``warn``: called if there can be none.
+    def serve(self) -> Iterator[None]:
+        """Hold the station, and serve the channel of the run while entered.
 
-        Raise RefusedError if there can be none, and prompts are answered over it.
+        Raises
+        ------
+        RefusedError
+            If another process uses the station, or prompts could not be answered; nothing was moved or written.
         """
-        with RunServer(station, self.desk, lambda: self.sensor, self.status.whole) as server:
+        sensor = self.sensor
+        doing = f"testing {sensor.serial} with {sensor.recipe!r}"
+        with (
+            station_held(sensor.station, who=sensor.operator, doing=doing),
+            RunServer(sensor.station, self.desk, lambda: self.sensor, self.status.whole) as server,
+        ):
             self._server = server
             if server.why and self.desk.answers:
                 raise RefusedError(server.why, remedy="prompts of this run are answered over the channel")
             if server.why:
-                warn(server.why)
+                on_stderr(server.why)
             try:
                 yield
             finally:
@@ -100,25 +110,9 @@ class Control:
 
 @contextmanager
 def open_control(
-    configuration: Configuration, *, serial: str, batch: str, operator: str, answers: bool
+    configuration: Configuration, asked: GateRequest, console: RunConsole, run: str | None = None
 ) -> Iterator[Control]:
-    """Hold the station of a run and serve its channel while entered.
-
-    Parameters
-    ----------
-    answers : whether prompts are answered over the channel, not in the terminal.
-
-    Raises
-    ------
-    RefusedError
-        If another process uses the station, or prompts could not be answered; nothing was moved or written.
-    """
-    station, recipe = configuration.station, configuration.recipe.name
-    status = RunStatus(1.0 if station.clock == "real" else station.clock_speed)
-    sensor = SensorUnderTest(None, station.name, recipe, serial, batch, operator)
-    control = Control(ControlDesk(answers=answers), status, sensor)
-    with (
-        station_held(station.name, who=operator, doing=f"testing {serial} with {recipe!r}"),
-        control.serve(station.name, on_stderr),
-    ):
+    """Serve the control of a run while entered; see :meth:`Control.from_request` and :meth:`Control.serve`."""
+    control = Control.from_request(configuration, asked, console, run)
+    with control.serve():
         yield control

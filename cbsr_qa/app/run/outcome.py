@@ -8,7 +8,6 @@ from typing import Annotated, Self
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.run.place import PlaceErrors, run_place
-from cbsr_qa.app.analyse.outcome import ChosenParameter
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.limits import Bound, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
@@ -18,6 +17,7 @@ from cbsr_qa.domain.run.changes import ConfigurationChange, EarlierRun, SensorHi
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.report.document import ChosenParameter
 from cbsr_qa.report.gate import gate_words
 from cbsr_qa.report.heads import run_page
 

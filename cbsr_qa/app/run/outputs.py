@@ -2,7 +2,6 @@
 
 from pathlib import Path
 
-from cbsr_qa.app.run.material_output import why_no_material, write_material
 from cbsr_qa.app.run.outcome import RunOutcome
 from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.config.paths import calibrations_folder, reports_folder
@@ -52,6 +51,8 @@ def write_outputs(
 def _material(result: RunResult, failed: list[str]) -> tuple[Path | None, str]:
     if result.characterisation is None:
         return None, ""
+    from cbsr_qa.app.run.material_output import why_no_material, write_material  # other runs issue no material
+
     reason = why_no_material(result)
     if reason:
         return None, reason

@@ -6,6 +6,7 @@ from typing import Final
 
 from cbsr_qa.analysis.run.reference import check_weighing
 from cbsr_qa.calibration.file.keys import SigningKey, signing_key
+from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import CbsrError, ConfigError, RefusedError
 from cbsr_qa.domain.imaging import linear
 from cbsr_qa.domain.plan.limits import Limit
@@ -15,16 +16,25 @@ from cbsr_qa.domain.results.characterisation import STRIP_MEASURES
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import FEWEST_FRAMES
-from cbsr_qa.eit.loads.bodies import check_strip
 from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.station.plan import Plan
+from cbsr_qa.station.setup import plan_of
 
 _WEIGHING: Final = 'analysis.noise_weighting = "measured" needs'
 _EQUAL: Final = 'set analysis.noise_weighting = "equal"'
 _LESS: Final = "lower analysis.noise_floor_frames"
+
+
+def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
+    """Check recipe, plugins and limits before anything moves. Raise RefusedError if one fails."""
+    check_recipe(configuration.recipe, configuration.sensor_type, plugins)
+    planned = plan_of(configuration, plugins)
+    station_key(configuration.station)
+    check_unloaded(planned, configuration.recipe)
+    check_cycles(planned, configuration.recipe)
 
 
 def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> None:
@@ -39,6 +49,8 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         for name in recipe.sections:
             plugins.factory(Kind.SECTION, name)
         if recipe.characterisation is not None:
+            from cbsr_qa.eit.loads.bodies import check_strip  # other recipes press no strip
+
             check_strip(sensor_type)
             _check_named(recipe.limits, STRIP_MEASURES)
             return

@@ -191,7 +191,8 @@ def rebuilt(
             dict.fromkeys(
                 (
                     *_adoption_notes(analyses, recipe.name),
-                    *_warnings(stored, no_images_reason),
+                    *stored.warnings,
+                    *filter(None, [no_images_reason]),
                     *record.chain.warnings,
                     *sensor_history.changed,
                     *history.warnings,
@@ -279,7 +280,3 @@ def _adoption_notes(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator
     for stored in analyses:
         if stored.calibration is not None:
             yield f"Calibration {stored.calibration}, which an earlier analysis of this run issued, is still stored."
-
-
-def _warnings(stored: StoredAnalysis, why: str) -> tuple[str, ...]:
-    return (*stored.warnings, why) if why and why not in stored.warnings else stored.warnings

@@ -1,6 +1,6 @@
 """Resume an interrupted run from the database."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from typing import Final
@@ -9,10 +9,11 @@ from cbsr_qa.app.command_hints import report_command
 from cbsr_qa.app.gate.gate import ASKED_AGAIN, ask_gate, gate_refusal
 from cbsr_qa.app.gate.request import GateRequest, Override
 from cbsr_qa.app.run.conclusion import conclude_run
+from cbsr_qa.app.run.console import NOBODY, RunConsole
 from cbsr_qa.app.run.control import open_control
 from cbsr_qa.app.run.outcome import RunOutcome
-from cbsr_qa.app.run.preflight import check_recipe
-from cbsr_qa.app.run.session import Ask, Done, Session, check_configuration, deliver_verdict
+from cbsr_qa.app.run.preflight import check_configuration, check_recipe
+from cbsr_qa.app.run.session import Done, Session, deliver_verdict
 from cbsr_qa.app.run.stopping import stoppable_outside_steps
 from cbsr_qa.config.loader import load_station
 from cbsr_qa.config.merging import Configuration, restore
@@ -40,15 +41,12 @@ _ELSEWHERE: Final = (
 
 def resume_run(
     run: str,
+    console: RunConsole = NOBODY,
     *,
     database: str | None = None,
     operator: str = "",
-    tell: Callable[[str], None] = lambda stage: None,
-    ask: Ask | None = None,
-    answers: bool = False,
     station: str | None = None,
     override: Override | None = None,
-    pin: Callable[[str], str] | None = None,
 ) -> RunOutcome:
     """Resume a run at its next unfinished load, after homing and finding surfaces again.
 
@@ -57,7 +55,6 @@ def resume_run(
 
     Parameters
     ----------
-    tell, ask, answers, pin : see :func:`cbsr_qa.app.run.run.run_sensor`.
     station : file of the run's station as it is now, for the gate alone: who may work at it, its policies, and the
         calibration dates of its instruments. None for what is stored with the run, which has no list of operators.
     override : override of the gate's refusals.
@@ -70,6 +67,7 @@ def resume_run(
     InstrumentError
         If an instrument does not answer.
     """
+    console.begin(run)
     validate_operator(operator)
     override = (override or Override()).validate()
     url = database_url(database)
@@ -77,23 +75,25 @@ def resume_run(
         raise StoreError(f"{name_database(parse_url(url))} does not exist or is empty", remedy=_ELSEWHERE)
     with existing as store:
         on_real_clock = restore(_configuration(store, run)).station.clock == "real"
-    for folder in (reports_folder(), calibrations_folder()):
+    folders = reports_folder(), calibrations_folder()
+    for folder in folders:
         writable_folder(folder)
     with ExitStack() as stack:
         store = stack.enter_context(open_store(url, create=False, durable=on_real_clock))
         stack.enter_context(store.claims.hold_run(run, operator))
         stored = store.runs.read_identity(run)
         stack.enter_context(store.claims.claim_sensor(stored.sensor.serial, stored.recipe, operator))
-        gate_request = GateRequest(
+        to_gate = GateRequest(
             serial=stored.sensor.serial,
+            batch=stored.sensor.batch,
             operator=operator,
             database=url,
-            folders=(reports_folder(), calibrations_folder()),
+            folders=folders,
             override=override,
             resumed=True,
-            pin=pin,
+            pin=console.read_pin,
         )
-        return _continue_run(store, run, gate_request, station, tell, ask, answers=answers)
+        return _continue_run(store, stored, to_gate, station, console)
 
 
 def _configuration(store: Repository, run: str) -> str:
@@ -108,20 +108,13 @@ def _configuration(store: Repository, run: str) -> str:
 
 
 def _continue_run(
-    store: Repository,
-    run: str,
-    asked: GateRequest,
-    station: str | None,
-    tell: Callable[[str], None],
-    ask: Ask | None,
-    *,
-    answers: bool,
+    store: Repository, stored: RunIdentity, to_gate: GateRequest, station: str | None, console: RunConsole
 ) -> RunOutcome:
-    plugins = discover()
+    run, plugins = stored.run, discover()
     store.runs.check_resumable(run)
     configuration = restore(store.runs.read_configuration(run))
-    stored, now = store.runs.read_identity(run), RealClock().wall()
-    identity = replace(stored, operator=asked.operator, software=software_versions(plugins), started_at=now)
+    now = RealClock().wall()
+    identity = replace(stored, operator=to_gate.operator, software=software_versions(plugins), started_at=now)
     software_changes = compare_software(stored, identity)
     result = store.runs.read_result_state(run)
     if result is ResultState.STORED:
@@ -132,7 +125,7 @@ def _continue_run(
     if result is ResultState.MISSING:
         with naming_removed(stored, identity):
             check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
-        outcome = conclude_run(run, store, configuration, plugins, Stages(tell), software_changes)
+        outcome = conclude_run(run, store, configuration, plugins, Stages(console.tell), software_changes)
         deliver_verdict(outcome, identity, configuration, plugins)
         return outcome
     with naming_removed(stored, identity):
@@ -143,21 +136,19 @@ def _continue_run(
         store.runs.find_resume_time_s(run),
         store.runs.count_prompts(run),
     )
-    sensor_and_operator = {"serial": stored.sensor.serial, "batch": stored.sensor.batch, "operator": asked.operator}
     with (
         naming_removed(stored, identity),
         stoppable_outside_steps(),
-        open_control(configuration, **sensor_and_operator, answers=answers) as control,
+        open_control(configuration, to_gate, console, run) as control,
     ):
-        gate = ask_gate(asked, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
+        gate = ask_gate(to_gate, _as_it_is_now(configuration, station), plugins, store, ASKED_AGAIN)
         if (refused := gate_refusal(gate)) is not None:
             raise refused
-        control.set_run(run)
-        stages = Stages(control.telling(tell))
-        with Session(configuration, plugins, stages, ask, done_before, gate=gate, control=control) as session:
+        with Session(configuration, plugins, control, done=done_before, gate=gate) as session:
             session.walk().refuse()
             session.warnings += [*software_changes, *compare_instruments(stored, session.instruments())]
-            return session.run(identity, store)
+            session.press(identity, store)
+            return session.conclude(identity, store)
 
 
 def _as_it_is_now(configuration: Configuration, station: str | None) -> Configuration:

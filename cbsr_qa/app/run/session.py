@@ -1,7 +1,7 @@
 """One session of a run, new or resumed: drives the plan on an open bench, then evaluates what was stored."""
 
 from collections.abc import Callable, Sequence
-from contextlib import nullcontext, suppress
+from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from types import TracebackType
@@ -11,7 +11,6 @@ from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.conclusion import conclude_run, concluding
 from cbsr_qa.app.run.control import Control
 from cbsr_qa.app.run.outcome import RunOutcome
-from cbsr_qa.app.run.preflight import check_cycles, check_recipe, check_unloaded, station_key
 from cbsr_qa.app.run.stopping import stoppable
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, BrokenRunError, StoreError
@@ -31,20 +30,16 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.report.tables import duration
 from cbsr_qa.station.bench import Bench
-from cbsr_qa.station.control.status import RunStatus
 from cbsr_qa.station.dry_runs import DryRun, dry_run
 from cbsr_qa.station.event_sinks import EventSinks
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.interrupts import on_stderr
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.plan import LoadKey
-from cbsr_qa.station.progress import RunProgress
 from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.setup import open_station, plan_of, station_clock
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.clock import Stages, WallWatch
-
-Ask = Callable[[str], str]
 
 #: Largest correction of the clock that is made without a warning: networks correct it by seconds.
 _CLOCK_MOVED: Final = timedelta(minutes=1)
@@ -68,13 +63,8 @@ class Done:
     prompts: int = 0
 
 
-def check_configuration(configuration: Configuration, plugins: Plugins) -> None:
-    """Check recipe, plugins and limits before anything moves. Raise RefusedError if one fails."""
-    check_recipe(configuration.recipe, configuration.sensor_type, plugins)
-    planned = plan_of(configuration, plugins)
-    station_key(configuration.station)
-    check_unloaded(planned, configuration.recipe)
-    check_cycles(planned, configuration.recipe)
+#: Of a new run.
+NOTHING_DONE: Final = Done()
 
 
 class Session:
@@ -84,13 +74,11 @@ class Session:
 
     Parameters
     ----------
-    configuration : checked configuration, see :func:`check_configuration`.
-    ask : shows a text to the operator and returns the answer; None without an operator.
+    configuration : checked configuration, see :func:`~cbsr_qa.app.run.preflight.check_configuration`.
+    control : the people at the run, and those who follow it.
     done : loads, phases and prompts of earlier sessions of the same run.
     why : operator's reason for files that differ from those of earlier runs.
     gate : answers of the checks before this session.
-    control : takes requests and prompts of others; None: nobody is served.
-    show : called with lines on what the station does; None shows them on stderr.
 
     Raises
     ------
@@ -104,42 +92,38 @@ class Session:
         self,
         configuration: Configuration,
         plugins: Plugins,
-        stages: Stages,
-        ask: Ask | None,
-        done: Done | None = None,
+        control: Control,
+        *,
+        done: Done = NOTHING_DONE,
         why: str = "",
         gate: Sequence[GateAnswer] = (),
-        control: Control | None = None,
-        show: Callable[[str], None] | None = None,
     ) -> None:
-        self._configuration = configuration
-        self._plugins = plugins
-        self._stages = stages
-        self._asks = ask
-        self._why = why
+        self.configuration = configuration
+        self.plugins = plugins
         self.gate = tuple(gate)
-        self._show = show
-        self._done = done or Done()
-        self._progress: RunProgress | None = None
-        self._events = 0
         self.warnings: list[str] = []
+        self._control = control
+        self._done = done
+        self._why = why
+        self._events = 0
+        self._stages = Stages(control.tell)
         self._plan = plan_of(configuration, plugins)
         self._clock = station_clock(configuration)
-        self._control = control
-        self._ask = self._prompt(control)
+        self._progress = control.console.show_steps(len(self._plan.phases), self._clock, control.status)
+        self._ask = (
+            OperatorPrompt(self._ask_operator, control.desk, operator=control.sensor.operator, first=done.prompts)
+            if control.console.attended
+            else None
+        )
 
-    def _prompt(self, control: Control | None) -> OperatorPrompt[str] | None:
-        """Return who asks the operator; None if nobody answers."""
-        desk = None if control is None else control.desk
-        if self._asks is None and not (desk is not None and desk.answers):
-            return None
-        operator = "" if control is None else control.operator
-        return OperatorPrompt(self._ask_operator, desk, operator=operator, first=self._done.prompts)
+    def _ask_operator(self, text: str) -> str:
+        with self._progress.pause():
+            return self._control.console.ask(text)
 
     def __enter__(self) -> Self:
         # Here, not before: a signal between opening and entering would leave the bench open.
         self._bench = open_station(
-            self._configuration, self._plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
+            self.configuration, self.plugins, self._clock, resumed_at_s=self._done.until_s, ask=self._ask
         )
         return self
 
@@ -165,13 +149,13 @@ class Session:
     def instruments(self) -> tuple[InstrumentIdentity, ...]:
         return self._bench.identities()
 
-    def run(self, identity: RunIdentity, store: Repository) -> RunOutcome:
-        """Drive the bench, then evaluate the stored run.
+    def press(self, identity: RunIdentity, store: Repository) -> None:
+        """Carry out the plan, and store every event of it.
 
         Raises
         ------
         BrokenRunError
-            If the run or its result could not be stored or read back; stored rows are kept.
+            If the end of the run could not be stored; stored rows are kept.
         """
         self.warnings += filter(None, [store.describe_clock_fault()])
         self.warnings += gate_warnings(self.gate)
@@ -181,18 +165,21 @@ class Session:
         with concluding(identity.run, store):
             _refuse_unstored(identity.run, ended, store)
             self.warnings += filter(None, [clock_warning(watch.clock_change())])
-        outcome = conclude_run(identity.run, store, self._configuration, self._plugins, self._stages, self.warnings)
-        deliver_verdict(outcome, identity, self._configuration, self._plugins, number=self._events)
+
+    def conclude(self, identity: RunIdentity, store: Repository) -> RunOutcome:
+        """Evaluate what is stored of the run, and tell the station's sinks of events the verdict.
+
+        Raises
+        ------
+        BrokenRunError
+            If the result could not be stored or read back; stored rows are kept.
+        """
+        outcome = conclude_run(identity.run, store, self.configuration, self.plugins, self._stages, self.warnings)
+        deliver_verdict(outcome, identity, self.configuration, self.plugins, number=self._events)
         return outcome
 
-    def _ask_operator(self, text: str) -> str:
-        """Ask the operator; progress display pauses meanwhile."""
-        assert self._asks is not None
-        with nullcontext() if self._progress is None else self._progress.pause():
-            return self._asks(text)
-
     def _drive(self, identity: RunIdentity, store: Repository) -> RunEnded:
-        configuration = self._configuration
+        configuration, control = self.configuration, self._control
         journal = store.open_journal(
             configuration=configuration.canonical,
             sensor_type=configuration.sensor_type,
@@ -202,22 +189,20 @@ class Session:
             why=self._why,
             gate=self.gate,
         )
-        sinks = EventSinks(configuration.station.events, self._plugins, identity, self.warnings.append)
-        watching = self._watching()
-        status = RunStatus(None) if self._control is None else self._control.status
+        sinks = EventSinks(configuration.station.events, self.plugins, identity, self.warnings.append)
+        control.set_plan(self._plan, self._done.loads)
         try:
-            with RunProgress(len(self._plan.phases), self._clock, status, tell=self._show) as progress:
-                self._progress = progress
+            with self._progress:
                 return execute(
                     self._plan,
                     identity,
                     self._bench,
                     self._clock,
-                    [journal, *watching, progress, self._hooks(identity), sinks],
+                    [journal, *control.subscribers, self._progress, self._hooks(identity), sinks],
                     done=self._done.loads,
                     ended=self._done.phases,
                     ask=self._ask,
-                    desk=None if self._control is None else self._control.desk,
+                    desk=control.desk,
                     warn=self.warnings.append,
                 )
         finally:
@@ -225,15 +210,9 @@ class Session:
             with concluding(identity.run, store):
                 sinks.end()
 
-    def _watching(self) -> tuple[Callable[[RunEvent], None], ...]:
-        if self._control is None:
-            return ()
-        self._control.set_plan(self._plan, self._done.loads)
-        return self._control.subscribers
-
     def _hooks(self, identity: RunIdentity) -> Callable[[RunEvent], None]:
         """Notify plugins of events; a failing plugin becomes a warning of the run."""
-        tell, warn = self._plugins.tell, self.warnings.append
+        tell, warn = self.plugins.tell, self.warnings.append
         names: dict[int, str] = {}
 
         def plugin_hooks(event: RunEvent) -> None:

@@ -229,7 +229,9 @@ def list_sensors(store: Repository, request: ListRequest) -> SensorList:
     runs_by_sensor: dict[tuple[str, str], list[ListedRun]] = {}
     for run in runs:
         runs_by_sensor.setdefault((run.serial, run.recipe), []).append(run)
-    groups = [*runs_by_sensor.values(), *([run] for own in runs_by_sensor.values() for run in _unshown(own))]
+    groups = list(runs_by_sensor.values())
+    for own in runs_by_sensor.values():  # an altered run that no row shows may be of another sensor, and gets a row
+        groups += [[run] for run in own if run.altered and run not in select_settled_runs(own)[-1:]]
     groups.sort(key=lambda own: own[-1].run)
     if request.failed or request.limit:
         groups = [
@@ -323,11 +325,6 @@ def _has_failed(run: ListedRun, limit: str) -> bool:
         return True
     keys = list_failed_limits(run)
     return run.verdict is Outcome.FAIL and (not limit or any(limit in (k.name, k.label, k.title) for k in keys))
-
-
-def _unshown(runs: Sequence[ListedRun]) -> list[ListedRun]:
-    """Return the altered runs of a sensor that its row does not show: each may be of another, and gets a row."""
-    return [run for run in runs if run.altered and run not in select_settled_runs(runs)[-1:]]
 
 
 def _state(runs: Sequence[ListedRun]) -> SensorEntry:

@@ -100,18 +100,22 @@ def _summary(summary: ShiftSummary) -> Iterator[Section]:
     if summary.reasons:
         limits = [(reason.words, str(reason.sensors), str(reason.runs)) for reason in summary.reasons]
         yield Section("Reasons for failure", (text_table(_REASONS, ("limit", "sensors", "runs"), limits, (1, 2)),))
-    blocks: list[Block] = [
-        text_table(_PARTS, (kind, "runs", "passed", "failed", "yield", "first pass"), rows, (1, 2, 3))
-        for kind, parts in (("station", summary.stations), ("recipe", summary.recipes))
-        if len(rows := [_part_row(part) for part in parts]) > 1
-    ]
+    blocks: list[Block] = []
+    for kind, parts in (("station", summary.stations), ("recipe", summary.recipes)):
+        rows = [
+            (
+                part.name,
+                *map(str, (part.runs, part.passed, part.failed)),
+                yield_words(part.test_yield),
+                yield_words(part.first_pass_yield),
+            )
+            for part in parts
+        ]
+        if len(rows) > 1:
+            columns = (kind, "runs", "passed", "failed", "yield", "first pass")
+            blocks.append(text_table(_PARTS, columns, rows, (1, 2, 3)))
     if blocks:
         yield Section("Stations and recipes", tuple(blocks))
-
-
-def _part_row(part: Tally) -> tuple[str, ...]:
-    counts = (part.runs, part.passed, part.failed)
-    return part.name, *map(str, counts), yield_words(part.test_yield), yield_words(part.first_pass_yield)
 
 
 def _cut(caption: str, count: int) -> str:

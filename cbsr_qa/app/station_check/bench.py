@@ -77,7 +77,8 @@ def look_at_bench(
     ConfigError
         If the ring does not fit the sensor type, or an emulator cannot be started.
     """
-    resistances = _resistances(configuration, ring)
+    electrodes = configuration.sensor_type.electrodes.count
+    resistances = () if ring is None or electrodes < FEWEST_RESISTORS else ring.resistances_ohm(electrodes)
     with_simulated_ring = (
         with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
     )
@@ -119,11 +120,6 @@ def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) 
 
 def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
     return {**scene, "scene": {**scene["scene"], "reference_ring_ohm": list(resistances_ohm)}}
-
-
-def _resistances(configuration: Configuration, ring: ReferenceRing | None) -> tuple[float, ...]:
-    electrodes = configuration.sensor_type.electrodes.count
-    return () if ring is None or electrodes < FEWEST_RESISTORS else ring.resistances_ohm(electrodes)
 
 
 class _Look:

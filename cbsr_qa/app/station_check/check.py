@@ -6,7 +6,9 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app.run.run import RunRequest, run_sensor
+from cbsr_qa.app.run.console import NOBODY, RunConsole
+from cbsr_qa.app.run.request import RunRequest
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.app.run.stopping import stoppable
 from cbsr_qa.app.station_check.bench import BenchFindings, Confirm, look_at_bench, simulates_frames
 from cbsr_qa.app.station_check.golden_history import compare_golden, golden_history
@@ -65,20 +67,10 @@ class CheckRequest:
     database: str | None = None
 
 
-def check_station(
-    request: CheckRequest,
-    *,
-    ask: Callable[[str], str] | None = None,
-    tell: Callable[[str], None] = lambda stage: None,
-    pin: Callable[[str], str] | None = None,
-) -> CommandOutcome[CheckedStation]:
+def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> CommandOutcome[CheckedStation]:
     """Check a station, store the check, and write its page.
 
-    Parameters
-    ----------
-    ask : shows a text to the operator and returns the answer; None without an operator: what must be connected first
-        is then not measured, and instruments worked by hand do not answer.
-    pin : asks for the operator's PIN; see :func:`cbsr_qa.app.run.run.run_sensor`.
+    Without an operator, what must be connected first is not measured, and instruments worked by hand do not answer.
 
     Raises
     ------
@@ -95,6 +87,7 @@ def check_station(
     _refuse_both(request, ring, simulated)
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
+    ask = console.ask if console.attended else None
     confirm: Confirm = None if ask is None else lambda words: _ask_confirmation(ask, words)
     # The operator is asked only once for each thing.
     confirm_placed: Confirm = None if simulated or confirm is None else cache(confirm)
@@ -112,13 +105,14 @@ def check_station(
                 ring=ring,
                 confirm=(lambda words: True) if request.ring_connected else confirm,
                 ask=ask,
-                tell=tell,
+                tell=console.tell,
             )
-        _refuse_untried(findings, configuration)
+        if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
+            raise findings.refused[0]  # no instrument could be opened at all
         findings.lines += _backlog(store, configuration.station)
         golden = None
         if request.golden is not None and _may_press(request.golden, findings, confirm_placed):
-            golden = _golden(request, request.golden, findings, store, ask, tell, pin)
+            golden = _golden(request, request.golden, findings, store, console)
         check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
         store.stations.save_check(check, findings.ring)
     named = "" if golden is None else golden.words
@@ -212,12 +206,6 @@ def _backlog(store: Repository, station: Station) -> list[CheckResult]:
     ]
 
 
-def _refuse_untried(findings: BenchFindings, configuration: Configuration) -> None:
-    """Raise the first refusal if no instrument could be opened at all."""
-    if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
-        raise findings.refused[0]
-
-
 def _subject(serial: str) -> str:
     return f"golden sensor {serial}"
 
@@ -243,9 +231,7 @@ def _golden(
     serial: str,
     findings: BenchFindings,
     store: Repository,
-    ask: Callable[[str], str] | None,
-    tell: Callable[[str], None],
-    pin: Callable[[str], str] | None,
+    console: RunConsole,
 ) -> RunIdentity | None:
     """Run the golden sensor and add a line for each of its values; return the run, or None if not started."""
     subject = _subject(serial)
@@ -264,7 +250,7 @@ def _golden(
         golden=True,
     )
     try:
-        outcome = run_sensor(run_request, tell=tell, ask=ask, pin=pin)
+        outcome = run_sensor(run_request, console)
     except StoppedError:
         raise
     except CbsrError as error:

@@ -127,12 +127,14 @@ def compare_golden(
     runs_here = [run for run in history.runs if run.station == station]
     runs_elsewhere = [run for run in history.runs if run.station != station]
     groups = [("here", runs_here), (_stations(runs_elsewhere), runs_elsewhere)]
-    compared = {
-        (name, stations): values
-        for name, figure in new_figures.items()
-        for stations, runs in groups
-        if len(values := _values(name, figure, runs)) >= FEWEST_VALUES
-    }
+    compared = {}
+    for name, figure in new_figures.items():
+        for stations, runs in groups:
+            earlier = [run.figures[name] for run in runs if name in run.figures]
+            # Over as many places, and in the same unit.
+            values = [one.value for one in earlier if (one.places, one.unit) == (figure.places, figure.unit)]
+            if len(values) >= FEWEST_VALUES:
+                compared[name, stations] = values
     lines = [_rests_on(runs_here, runs_elsewhere, history.unlike, subject)]
     for name, _ in FIGURES:
         if name not in new_figures:
@@ -155,12 +157,6 @@ def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
         remedy="the report of this run says why" if is_lost else "",
         subject=subject,
     )
-
-
-def _values(name: str, figure: Figure, runs: Sequence[GoldenRun]) -> list[float]:
-    """Values in earlier runs, over as many places and in the same unit."""
-    figures = [run.figures[name] for run in runs if name in run.figures]
-    return [earlier.value for earlier in figures if (earlier.places, earlier.unit) == (figure.places, figure.unit)]
 
 
 def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str) -> CheckResult:

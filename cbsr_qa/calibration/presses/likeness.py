@@ -1,19 +1,16 @@
 """Likeness of a press's readings to those of a modelled load at each place of the sheet."""
 
 from copy import copy
-from dataclasses import dataclass
 from typing import Final
 
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from cbsr_qa.calibration.place.modelled import log_likelihood, log_likelihood_slopes, most_alike, unit_rows
+from cbsr_qa.calibration.presses.answering import AnsweringSide, compare_sides
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
-#: Readings of one modelled polarity hardly respond if those of the other are larger by this factor, both relative to
-#: the modelled sheet.
-_DEAD: Final = 3.0
 #: Log likelihood of a press off the sheet.
 _OFF_SHEET: Final = -1.0
 #: Weights of nodes for a point between the inner two, as polynomials: of four nodes cubic (Keys 1981, a = -1/2); of
@@ -22,20 +19,6 @@ _CUBIC: Final = np.array([[0, 2, 0, 0], [-1, 0, 1, 0], [2, -5, 4, -1], [-1, 3, -
 _SMOOTH: Final = np.array([[1.0, 0.0], [0.0, 0.0], [-3.0, 3.0], [2.0, -2.0]])
 #: Orders of derivatives along both axes.
 _ORDERS: Final = ((0, 0), (1, 0), (0, 1), (2, 0), (1, 1), (0, 2))
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class AnsweringSide:
-    """Readings that respond to a press.
-
-    Parameters
-    ----------
-    answers : (m,) False for those that never do, and those of a polarity that hardly responds.
-    words : description; empty if both polarities respond.
-    """
-
-    answers: Mask
-    words: str = ""
 
 
 def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> AnsweringSide:
@@ -52,28 +35,6 @@ def answering_side(sheet: ModelledSheet, pairs: Indices, changes: Array) -> Answ
     answer = np.median(np.abs(changes), axis=0) / np.maximum(modelled, np.finfo(np.float64).tiny)
     side = compare_sides(answer, sheet.solve_unloaded(pairs) > 0)
     return AnsweringSide(alive & side.answers, side.words)
-
-
-def compare_sides(answer: Array, positive: Mask) -> AnsweringSide:
-    """Compare readings of both modelled polarities.
-
-    Parameters
-    ----------
-    answer : (m,) size of each reading over the modelled one, any unit.
-    positive : (m,) mask of readings whose modelled voltage is positive.
-    """
-    if positive.all() or not positive.any():
-        return AnsweringSide(np.ones_like(positive))
-    sizes = [float(np.median(answer[side])) for side in (positive, ~positive)]
-    if max(sizes) <= _DEAD * min(sizes):
-        return AnsweringSide(np.ones_like(positive))
-    dead_mask, name = (~positive, "negative") if sizes[0] > sizes[1] else (positive, "positive")
-    finding = (
-        f"{int(dead_mask.sum())} readings whose modelled voltage is {name} hardly respond:"
-        f" {min(sizes) / max(sizes):.1%} of what the others do, both compared with the modelled sheet;"
-        " the front end appears to rectify"
-    )
-    return AnsweringSide(~dead_mask, finding)
 
 
 def alikeness(changes: Array, templates: Array) -> Array:

@@ -25,7 +25,6 @@ from cbsr_qa.eit.mesh.boundary import (
     smooth_lengths,
     spread,
 )
-from cbsr_qa.eit.mesh.files import leave_out_holes
 from cbsr_qa.eit.mesh.outline import outline_image_mesh, outline_sheet_mesh
 from cbsr_qa.eit.mesh.triangulate import Outline, Points, fill
 
@@ -84,7 +83,11 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
     _check_size(sensor_type, size_mm)
     if sensor_type.polygon is not None:
         mesh = outline_image_mesh(sensor_type.polygon, size_mm)
-        return mesh if sensor_type.mesh is None else leave_out_holes(mesh, sensor_type.mesh.mesh)
+        if sensor_type.mesh is None:
+            return mesh
+        from cbsr_qa.eit.mesh.files import leave_out_holes  # few sheets have a mesh of their own
+
+        return leave_out_holes(mesh, sensor_type.mesh.mesh)
     radius = sensor_type.radius_mm
     count = int(np.ceil(2 * np.pi * radius / size_mm))
     rim = radius * _unit(2 * np.pi * np.arange(count) / count)

@@ -121,13 +121,12 @@ class RunStatus:
             remaining_s=event.remaining_s,
         )
         if isinstance(event.step, Press):
-            self._set(load=self._find_load(event.phase, event.step.load), next=None)
-
-    def _find_load(self, phase: int, load: Load) -> LoadUnderWay:
-        """Name the load that begins: the first of its phase with this place, strain and trial that is not done."""
-        of, wanted = len(self._loads), _plan_load(self._names.get(phase, ""), load, done=False)
-        numbers = (n for n, key in enumerate(self._keys) if key[0] == phase and self._loads[n] == wanted)
-        return LoadUnderWay(number=1 + next(numbers, of - 1), of=of, **vars(wanted))
+            # The first of its phase with this place, strain and trial that is not done.
+            wanted = _plan_load(self._names.get(event.phase, ""), event.step.load, done=False)
+            numbers = (n for n, key in enumerate(self._keys) if key[0] == event.phase and self._loads[n] == wanted)
+            of = len(self._loads)
+            load = LoadUnderWay(number=1 + next(numbers, of - 1), of=of, **vars(wanted))
+            self._set(load=load, next=None)
 
     def _find_next(self) -> Numbered | None:
         """Return which press is the first that is not done; None if all are."""

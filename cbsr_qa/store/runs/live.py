@@ -12,7 +12,7 @@ from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames
-from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.listed import Decision
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.store.archives import with_arrays
@@ -20,7 +20,7 @@ from cbsr_qa.store.damage import read_word, translate_errors
 from cbsr_qa.store.engine import reading, sqlite_file
 from cbsr_qa.store.mapping import convert_row
 from cbsr_qa.store.runs.codec import frame_block, sample_block
-from cbsr_qa.store.runs.rows import current_state, phases_of
+from cbsr_qa.store.runs.rows import current_state, load_record, phases_of
 from cbsr_qa.store.runs.verdicts import verdict_of
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.results import CalibrationRow
@@ -248,15 +248,4 @@ def _phases(connection: Connection, run: str) -> tuple[LivePhase, ...]:
             unloaded_from_s=marks.get(row.phase),
         )
         for row in connection.execute(phases_of(run))
-    )
-
-
-def load_record(row: Any) -> LoadRecord:
-    """Return the press of a row."""
-    return convert_row(
-        LoadRecord,
-        row,
-        index=row.load_index,
-        load=convert_row(Load, row),
-        eased=tuple(EasedStrain(*map(float, step)) for step in row.eased or ()),
     )

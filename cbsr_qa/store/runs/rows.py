@@ -5,6 +5,7 @@ from typing import Any
 from sqlalchemy import Connection, Row, Select, insert, select
 
 from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
@@ -52,6 +53,17 @@ def phases_of(run: str) -> Select[Any]:
         end, (end.run == phase.run) & (end.phase == phase.phase)
     )
     return joined.where(phase.run == run).order_by(phase.phase)
+
+
+def load_record(row: Any) -> LoadRecord:
+    """Return the press of a row."""
+    return convert_row(
+        LoadRecord,
+        row,
+        index=row.load_index,
+        load=convert_row(Load, row),
+        eased=tuple(EasedStrain(*map(float, step)) for step in row.eased or ()),
+    )
 
 
 def current_state(connection: Connection, run: str) -> Row[Any]:

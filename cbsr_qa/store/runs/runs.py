@@ -35,8 +35,7 @@ from cbsr_qa.store.runs.codec import (
 )
 from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
-from cbsr_qa.store.runs.live import load_record
-from cbsr_qa.store.runs.rows import current_state, identity_of, phases_of, run_row
+from cbsr_qa.store.runs.rows import current_state, identity_of, load_record, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, sessions_of, spans_that_count, within
 from cbsr_qa.store.runs.standing import standing_of
 from cbsr_qa.store.runs.verdicts import read_verdicts

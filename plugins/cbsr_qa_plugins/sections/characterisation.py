@@ -21,7 +21,6 @@ from cbsr_qa.plugin import (
     Table,
     Trace,
 )
-from cbsr_qa.report.draw.characterisation import lines_figure, relaxations_figure, settling_by_strain_figure
 from cbsr_qa.report.draw.time import timeline_figure
 from cbsr_qa.report.section import RunSection
 from cbsr_qa.report.tables import (
@@ -48,6 +47,8 @@ class MaterialCharacterisation(RunSection):
         material = result.characterisation
         if material is None:
             return
+        from cbsr_qa.report.draw.characterisation import lines_figure, relaxations_figure, settling_by_strain_figure
+
         words = _describe_material(material)
         yield Paragraph(words)
         yield from (Paragraph(f"No material file may be issued: {why}.", "warning") for why in material.refused)

@@ -4,7 +4,6 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from cbsr_qa.analysis.recording.imaging import nominal_disc
 from cbsr_qa.plugin import (
     Block,
     Disc,
@@ -209,6 +208,8 @@ def _image_table(events: Sequence[LoadEvent]) -> Table:
 
 def _images(result: RecordingResult) -> Figure:
     events, named = result.events, result.sensor_type
+    from cbsr_qa.analysis.recording.imaging import nominal_disc  # a run's report has this section, and no recording
+
     shown_events = events[:_MAX_IMAGES]
     sensor = named or nominal_disc(result.recording.layout, result.recording.frames.voltages.shape[1])
     # Images of an unnamed sensor may be in any unit.

@@ -7,8 +7,10 @@ import pytest
 from killing import BRIEF, write_files
 
 from cbsr_qa.app.run import run as starting
+from cbsr_qa.app.run.preview import plan_run
+from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.resume import resume_run
-from cbsr_qa.app.run.run import RunRequest, plan_run, run_sensor
+from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.app.run.session import Session
 from cbsr_qa.domain.errors import StoppedError
 from cbsr_qa.domain.run.states import EndReason
@@ -64,7 +66,7 @@ PLACES = {
     "while it is opened": (setup, "_open_instrument"),
     "when it is open": (setup, "check_clock"),
     "before the plan is checked": (Session, "walk"),
-    "before the run is stored": (starting, "_run_and_store"),
+    "before the run is stored": (starting, "_begin_run"),
     "when instruments were asked": (starting, "_identity"),
 }
 
