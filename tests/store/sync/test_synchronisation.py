@@ -11,7 +11,8 @@ import pytest
 import sqlalchemy as sa
 import synced
 from stored_runs import calibration, frames, journalled, short_run
-from synced import assert_all_there, content, everything, judged, on_both, run_of, send, sent
+from synced import assert_all_there, at_once_on_both, content, everything, judged, on_both, run_of, send, sent
+from tiers import REST
 
 from cbsr_qa.domain.errors import LAST_UNRELEASED, StoreError
 from cbsr_qa.domain.run.run import FramesTaken, RunEnded
@@ -28,7 +29,7 @@ from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 
 
-@on_both
+@at_once_on_both
 def test_everything_arrives_once(full, centre):
     first = sent(full, centre)
     assert (first.items, first.runs, first.quarantined, first.blocked) == (4, 1, [], [])
@@ -38,7 +39,7 @@ def test_everything_arrives_once(full, centre):
 
 
 @on_both
-@pytest.mark.parametrize("at_once", [1, 7])
+@pytest.mark.parametrize("at_once", [pytest.param(1, marks=REST), 7])
 def test_a_run_is_whole_up_to_a_link_after_every_parcel(full, centre, at_once, monkeypatch):
     monkeypatch.setattr(parcels, "MOST_LINKS", at_once)
     store = storing.store_parcel
