@@ -1,13 +1,16 @@
 """The pages on Python run as printed, in one folder and with a shorter recipe, and what they use is typed."""
 
-import shutil
+from pathlib import Path
 
 import matplotlib as mpl
 import numpy as np
 import pytest
+from force_calibration import force_calibration
 from pages import TOP, blocks
+from streamed import loaded
 
 import cbsr_qa as qa
+from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.config.documents import DocumentKind, open_document
 
 pytest.importorskip("pandas")
@@ -86,11 +89,10 @@ def test_the_reference_runs_as_printed():
     exec("\n".join(blocks(_REFERENCE, "python")), {})
 
 
-def test_the_snippet_of_the_readme_runs_as_printed(capsys):
-    run = qa.run(station="simulated", recipe="nine-locations", serial="N-1", batch="41", seed=7)
-    frames = run.frames("nine locations")
-    np.save("frames.npy", frames.isel(time=frames.load_stage.values == 2).voltage.values[-2:])
-    shutil.copy(run.result.calibration, "sensor.h5")
+def test_the_snippet_of_the_readme_runs_as_printed(capsys, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    write_calibration(Path("sensor.h5"), force_calibration())
+    np.save("frames.npy", loaded(12, force_N=3.5)[-2:])
     with pytest.raises(qa.CbsrError, match="load_calibration reads it"):
         qa.PressCalibration.load("sensor.h5")
     (snippet,) = blocks(TOP / "README.md", "python")
