@@ -143,7 +143,7 @@ def compact(data: bytes, width: int, *, steps: bool = False) -> bytes:
     if steps:
         original, numbers = numbers, numbers.copy()
         numbers[1:] -= original[:-1]
-    columns = numbers.view(np.uint8).reshape(-1, width).T.tobytes() if width > 1 else numbers.tobytes()
+    columns = numbers.view(np.uint8).reshape(-1, width).T.tobytes()
     deflating = zlib.compressobj(1, wbits=-12, memLevel=6)
     deflated = deflating.compress(columns) + deflating.flush()
     return deflated if len(deflated) < len(data) else data

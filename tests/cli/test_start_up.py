@@ -28,7 +28,7 @@ NUMERICS = {"numpy", "scipy", "pydantic", "sqlalchemy"}
         (["--version"], DRAWING | NUMERICS),
         (["--help"], DRAWING | NUMERICS),
         (["plugins", "list"], DRAWING | {"scipy", "sqlalchemy", "cbsr_qa.plugin.api", "cbsr_qa.plugin.options"}),
-        (["plugins", "show", "gauss-newton-noser"], DRAWING | {"sqlalchemy"}),
+        pytest.param(["plugins", "show", "gauss-newton-noser"], DRAWING | {"sqlalchemy"}, marks=pytest.mark.rest),
         (["db", "status"], DRAWING | {"scipy"}),
     ],
     ids=lambda value: " ".join(value) if isinstance(value, list) else "",
@@ -48,6 +48,7 @@ FOREIGN = ("studies", "web", "interface", "testing", "app.export", "app.stream",
 MOST_MODULES = 353
 
 
+@pytest.mark.rest  # the same rule as above, of a whole run of the installed program
 def test_a_run_loads_no_package_of_another_command(tmp_path):
     (tmp_path / "one-press.toml").write_text(RECIPE)
     run = ["run", "--station", "simulated", "--recipe", "one-press.toml", "--serial", "S-1"]

@@ -133,6 +133,7 @@ def test_a_paused_run_among_clients_that_mean_no_good_is_in_every_bit_the_run_th
     assert "Paused by Grace" in report
 
 
+@pytest.mark.rest
 def test_a_run_killed_in_a_pause_leaves_no_lock_and_is_resumed_after_its_last_load(folder, garbage):
     with running(folder, *BEGIN, "--serial", "S-1", "--operator", "Ada") as (process, channel):
         until(lambda: pressing(channel))

@@ -22,6 +22,7 @@ def folder(tmp_path_factory):
     return folder
 
 
+@pytest.mark.rest
 def test_the_snippets_run_on_what_the_commands_wrote(folder, monkeypatch, capsys):
     monkeypatch.chdir(folder)
     tables, view, frames = blocks(PAGE, "python")

@@ -275,6 +275,7 @@ def test_the_page_on_the_paper_shows_loads_that_can_be_pressed():
     assert GivenLoadsSequence(**options)
 
 
+@pytest.mark.rest
 def test_the_page_on_presses_runs_as_printed(tmp_path, monkeypatch):
     page = HOW_TO / "calibrate-from-presses.md"
     assert write_files(page, tmp_path) == ["skin.toml"]

@@ -36,13 +36,21 @@ def assert_balls(printed, within_mm):
         assert np.hypot(*(places - np.array(ball)).T).min() < within_mm, printed
 
 
-def test_its_snippets_need_numpy_scipy_and_scikit_image_alone(tmp_path):
-    write_phantom(tmp_path / "phantom_16elec_1planeB.mat")
-    done = run_beside(BESIDE, snippets(tmp_path))
+@pytest.fixture(scope="module")
+def beside(tmp_path_factory):
+    """The page's code beside what it needs, on a phantom made for it: what it printed, and what it had loaded."""
+    folder = tmp_path_factory.mktemp("engine")
+    write_phantom(folder / "phantom_16elec_1planeB.mat")
+    done = run_beside(BESIDE, snippets(folder) + PRINT_LOADED)
     assert done.returncode == 0, done.stderr
-    assert_balls(done.stdout, 8)
+    return done.stdout
 
 
+def test_its_snippets_need_numpy_scipy_and_scikit_image_alone(beside):
+    assert_balls(beside.partition("loaded ")[0], 8)
+
+
+@pytest.mark.rest
 @pytest.mark.shared
 def test_its_snippets_find_the_balls_of_the_real_recording(shared, tmp_path):
     shutil.copy(shared / "data" / "tank" / "phantom_16elec_1planeB.mat", tmp_path)
@@ -51,16 +59,14 @@ def test_its_snippets_find_the_balls_of_the_real_recording(shared, tmp_path):
     assert_balls(done.stdout, 10)
 
 
-def test_the_engine_has_nothing_of_plugins_runs_or_results(tmp_path):
-    write_phantom(tmp_path / "phantom_16elec_1planeB.mat")
-    done = run_beside(BESIDE, snippets(tmp_path) + PRINT_LOADED)
-    assert done.returncode == 0, done.stderr
-    loaded = read_loaded(done.stdout)
+def test_the_engine_has_nothing_of_plugins_runs_or_results(beside):
+    loaded = read_loaded(beside)
     assert {name.split(".")[1] for name in loaded} == {"domain", "eit", "system"}
     assert not [name for name in loaded if name.startswith(("cbsr_qa.domain.plan", "cbsr_qa.domain.run"))]
     assert not [name for name in loaded if name.startswith("cbsr_qa.domain.results")]
 
 
+@pytest.mark.rest
 def test_without_scikit_image_only_rasters_are_missing(tmp_path):
     write_phantom(tmp_path / "phantom_16elec_1planeB.mat")
     done = run_beside(("numpy", "scipy"), snippets(tmp_path))

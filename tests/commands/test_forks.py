@@ -6,7 +6,10 @@ import sys
 
 import pytest
 from command import cbsr_qa, document
+from filled_databases import filled
 from one_press import one_press_recipe
+
+from cbsr_qa.domain.results.measurement import Measurement
 
 pytestmark = pytest.mark.skipif(sys.platform != "linux", reason="nothing is forked elsewhere")
 
@@ -60,10 +63,12 @@ def test_nothing_is_open_when_a_run_its_report_a_comparison_and_a_reader_fork(in
         return cbsr_qa(folder, *arguments, fresh=True, check=False, **environment)
 
     bench = ("--station", "bench-emulated", "--recipe", "one-press.toml")
-    for serial, batch in (("S-1", "A"), ("S-2", "B")):
-        run = document(run_command("run", *bench, "--serial", serial, "--batch", batch, "--seed", "11", "--json"))
+    run = document(run_command("run", *bench, "--serial", "S-1", "--seed", "11", "--json"))
     assert run_command("report", run["run"], "--to", "again").returncode == 0
-    run_command("compare", "--by", "batch", "--output", "compared.html")  # of one run each: nothing is decided
+    measured = [Measurement("drift", 0.1, "%/min")]
+    filled(folder / "fleet.db", [("S-1", measured, {"batch": "A"}), ("S-2", measured, {"batch": "B"})])
+    compared = ("--database", "fleet.db", "--output", "compared.html")
+    run_command("compare", "--by", "batch", *compared)  # of one run each: nothing is decided
     assert (folder / "compared.html").exists()
     (folder / "damaged.h5").write_bytes(b"not HDF5")
     assert run_command("calibration", "show", "damaged.h5").returncode == 2

@@ -95,6 +95,7 @@ def test_a_release_is_stored_by_name(tested):
     assert "recipe" not in words
 
 
+@pytest.mark.rest
 def test_a_resumed_run_is_asked_again_what_matters_by_the_present_station_file(tmp_path):
     write_files(tmp_path)
     gate = '[gate]\noperator = "refuse"\n[[gate.operators]]\nname = "{}"\n\n[indenter]'

@@ -83,6 +83,7 @@ def test_the_newtons_are_those_of_calibration_apply_to_the_last_bit(folder, appl
         assert json_line(_MESSAGE.validate_json(line)) == line
 
 
+@pytest.mark.rest
 def test_both_clients_read_the_same_newtons_from_one_stream(folder, applied_N, python_client, c_client):
     with streaming(folder, "sensor.h5", "--station", "station.toml", "--to", "tcp://127.0.0.1:0") as process:
         where = ["127.0.0.1", str(port_of(process))]
@@ -98,6 +99,7 @@ def test_both_clients_read_the_same_newtons_from_one_stream(folder, applied_N, p
             assert read == applied_N[-len(read) :]
 
 
+@pytest.mark.rest
 def test_a_killed_client_and_one_that_does_not_read_disturb_nothing(folder, python_client):
     with streaming(folder, "sensor.h5", "--station", "station.toml", "--to", "tcp://127.0.0.1:0", "--to", "-") as one:
         where = ["127.0.0.1", str(port_of(one))]
@@ -112,7 +114,7 @@ def test_a_killed_client_and_one_that_does_not_read_disturb_nothing(folder, pyth
     assert [m["sequence"] for m in messages(out)] == list(range(_FRAMES + 2))
 
 
-@pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM])
+@pytest.mark.parametrize("number", [signal.SIGINT, pytest.param(signal.SIGTERM, marks=pytest.mark.rest)])
 def test_a_signal_ends_the_stream_with_a_message(folder, number):
     with streaming(folder, "sensor.h5", "--station", "station.toml") as process:
         begun = [process.stdout.readline() for _ in range(4)]
@@ -122,6 +124,7 @@ def test_a_signal_ends_the_stream_with_a_message(folder, number):
     assert (end["type"], end["why"], end["exit_code"], process.returncode) == ("end", "stopped", 0, 0), err
 
 
+@pytest.mark.rest
 def test_a_board_on_a_serial_line_is_streamed_until_its_cable_is_pulled(folder):
     """Frames of counts, in real time, by a real driver: the first ten are of the unloaded sheet."""
     options = ["-o", "format=binary", "-o", "frame_period_s=0.2", "-o", "zero_counts=32768", "--give-up", "0.8"]
@@ -142,6 +145,7 @@ def test_a_board_on_a_serial_line_is_streamed_until_its_cable_is_pulled(folder):
     assert board.address in rest[-1]["reason"]
 
 
+@pytest.mark.rest
 def test_a_broker_gets_every_message_and_keeps_the_header(folder, applied_N):
     paho = pytest.importorskip("paho.mqtt.client")
     received, subscribed = [], threading.Event()
@@ -238,6 +242,7 @@ def test_a_recording_shorter_than_the_reference_is_refused(folder, monkeypatch):
         next(stream_messages(replayed(folder, reference=100)))
 
 
+@pytest.mark.rest
 def test_the_page_runs_as_printed(folder):
     (command,) = commands(_PAGE)
     assert [m["type"] for m in messages(typed(folder, command, fresh=True).stdout)][-1] == "end"

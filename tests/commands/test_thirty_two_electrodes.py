@@ -105,6 +105,7 @@ def assert_press(folder, file):
     assert event["r_over_R"] == pytest.approx(np.hypot(20, 5) / 50, abs=0.06)
 
 
+@pytest.mark.rest
 def test_a_scene_is_written_read_and_analysed_in_every_format_that_holds_32(folder):
     cbsr_qa(folder, "scene", "run", "scene.toml", "--output", "scene.h5", "--format", "ert-board-csv")
     for file in ("scene.h5", "scene.ert-board-csv.csv"):

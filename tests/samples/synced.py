@@ -63,9 +63,11 @@ def sent(station, centre, **how):
     return send_waiting(station.engine, centre.engine, "a test", **how)
 
 
-on_both = pytest.mark.parametrize(
-    "centre", ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)], indirect=True
-)
+_POSTGRES = pytest.param("postgresql", marks=pytest.mark.postgres)
+_POSTGRES_TOO = pytest.param("postgresql", marks=(pytest.mark.postgres, pytest.mark.rest))
+#: With a centre of each kind: in ``make test``, or on PostgreSQL, which is the same there, in ``make test-rest``.
+at_once_on_both = pytest.mark.parametrize("centre", ["sqlite", _POSTGRES], indirect=True)
+on_both = pytest.mark.parametrize("centre", ["sqlite", _POSTGRES_TOO], indirect=True)
 
 
 def remove_run(place, run, *, begun=False):

@@ -95,7 +95,7 @@ def test_a_press_under_way_is_finished_and_taken_back():
     assert len(stopped.heard) == 1
 
 
-@pytest.mark.parametrize("step", [Home, FindSurface, Press, Release])
+@pytest.mark.parametrize("step", [Home, FindSurface, Press, pytest.param(Release, marks=pytest.mark.rest)])
 def test_two_signals_while_the_driver_waits_for_the_head_leave_the_bench_safe(step):
     stopped = Stopped(step, signal.SIGHUP, signal.SIGTERM, moving=True)
     assert_at_rest(stopped)

@@ -44,7 +44,7 @@ def test_runs_follow_each_other(place):
 
 
 @pytest.mark.parametrize("begun", [False, True], ids=["", "with what says that it was begun"])
-@pytest.mark.parametrize("number", [0, 1])
+@pytest.mark.parametrize("number", [pytest.param(0, marks=pytest.mark.rest), 1])
 def test_a_run_that_is_removed_between_others_is_named(place, number, begun):
     runs = [run_of(place.store, f"S-{serial}") for serial in range(3)]
     remove_run(place, runs[number], begun=begun)

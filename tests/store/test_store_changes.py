@@ -12,6 +12,7 @@ import pytest
 import sqlalchemy as sa
 from sqlalchemy import event
 from stored_runs import SETTING, calibration, identity, short_run
+from tiers import rest_after
 
 from cbsr_qa.app.changes import override_verdict
 from cbsr_qa.app.run.render import render_stored
@@ -177,7 +178,7 @@ def test_what_has_no_verdict_cannot_be_overridden(repository):
     assert repository.changes.list_overrides() == ()
 
 
-@pytest.mark.parametrize("cell", ["runs.configuration", "runs.started_at", "runs.serial"])
+@pytest.mark.parametrize("cell", rest_after(1, ["runs.configuration", "runs.started_at", "runs.serial"]))
 def test_a_cell_of_another_type_met_while_writing_is_named(tmp_path, cell):
     table, column = cell.split(".")
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as repository:

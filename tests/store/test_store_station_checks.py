@@ -8,6 +8,7 @@ import pytest
 from altered_runs import another_value, change
 from sqlalchemy import select
 from stored_runs import frames, identity, journalled, short_run
+from tiers import rest_but
 
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.run.run import InstrumentIdentity
@@ -91,8 +92,15 @@ CHANGES = {
 }
 
 
-@pytest.mark.parametrize("key", ["", "a key of twenty-two let"], ids=["not signed", "signed"])
-@pytest.mark.parametrize("statement", CHANGES.values(), ids=CHANGES)
+#: A cell of each table, a row less and more, the seal.
+FIRST = (
+    *("station_checks.operator", "station_check_lines.outcome", "station_check_frames.sha256", "a line less"),
+    *("a line more", "no ring", "another seal"),
+)
+
+
+@pytest.mark.parametrize("key", rest_but({"signed": "a key of twenty-two let", "not signed": ""}, "signed"))
+@pytest.mark.parametrize("statement", rest_but(CHANGES, *FIRST))
 def test_a_check_that_was_altered_has_failed_and_says_why(tmp_path, monkeypatch, statement, key):
     if key:
         monkeypatch.setenv("CBSR_QA_SIGNING_KEY", key)

@@ -26,7 +26,7 @@ def run(capsys, *arguments):
     return code, said.out, said.err
 
 
-@pytest.mark.parametrize("name", ["total-variation", "absolute-gauss-newton"])
+@pytest.mark.parametrize("name", [pytest.param("total-variation", marks=pytest.mark.rest), "absolute-gauss-newton"])
 def test_an_image_that_does_not_converge_is_a_refusal_and_nothing_is_written(pressed, tmp_path, capsys, name):
     code, out, err = run(capsys, pressed, "--json", "--reconstruction", name, "--option", "iterations=1")
     document = json.loads(out)

@@ -154,6 +154,7 @@ def test_places_are_written_as_a_table(folder, tmp_path):
     assert len(rows[0].split(",")) == len(header.split(","))
 
 
+@pytest.mark.rest
 def test_whole_frames_are_taken_against_frames_at_rest(pressed, folder, tmp_path):
     frames = some(replace(pressed, changes=pressed.changes + pressed.unloaded), range(12))
     files = dict(zip(("readings", "presses", "pattern"), frames.write(tmp_path), strict=True))
@@ -172,6 +173,7 @@ def test_whole_frames_are_taken_against_frames_at_rest(pressed, folder, tmp_path
     assert own["frames"] == given["frames"]
 
 
+@pytest.mark.rest
 def test_a_sensor_type_without_radius_has_it_estimated(pressed, folder, tmp_path):
     sensor = tmp_path / "unsized.toml"
     sensor.write_text('[sensor_type]\nname = "skin"\n[electrodes]\nkind = "pin"\ncount = 16\n')
@@ -296,6 +298,7 @@ def of_recording(folder, tmp_path_factory):
     return tmp_path, sheet
 
 
+@pytest.mark.rest
 def test_a_stream_tells_the_places_and_forces_of_apply(of_recording, folder, monkeypatch):
     monkeypatch.setattr("cbsr_qa.app.stream.source.RealClock", VirtualClock)
     learned, _ = of_recording
@@ -398,6 +401,7 @@ def test_a_pair_that_is_missing_when_it_is_applied_is_named(pressed, folder, tmp
     assert "1 of the 192 readings" in why
 
 
+@pytest.mark.rest
 def test_a_sheet_that_is_not_modelled_is_learned_from_its_presses_alone(folder, tmp_path):
     pressed = pressed_sheet(20, pairs=adjacent_pairs())
     random = np.random.default_rng(0)
@@ -409,6 +413,7 @@ def test_a_sheet_that_is_not_modelled_is_learned_from_its_presses_alone(folder, 
     assert any("not what the sensor type describes" in words for words in printed["warnings"])
 
 
+@pytest.mark.rest
 def test_exchanged_electrodes_are_a_warning(folder, tmp_path):
     wired = np.arange(16)
     wired[[2, 9]] = 9, 2

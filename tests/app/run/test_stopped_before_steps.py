@@ -71,8 +71,19 @@ PLACES = {
 }
 
 
-@pytest.mark.parametrize("place", PLACES)
-@pytest.mark.parametrize("number", NUMBERS)
+#: Each place, and each signal once.
+FIRST = [(signal.SIGTERM, place) for place in PLACES]
+FIRST += [(number, "before the run is stored") for number in NUMBERS]
+
+
+@pytest.mark.parametrize(
+    ("number", "place"),
+    [
+        pytest.param(number, place, marks=() if (number, place) in FIRST else pytest.mark.rest)
+        for number in NUMBERS
+        for place in PLACES
+    ],
+)
 def test_the_bench_is_made_safe_and_closed(request_of_run, told, monkeypatch, place, number):
     where, name = PLACES[place]
     strike(monkeypatch, where, name, number)

@@ -12,6 +12,7 @@ from calibration_samples import sample_force
 from sqlalchemy import Boolean, Column, LargeBinary, MetaData, Table, create_engine
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, short_run
+from tiers import REST, rest_but
 
 from cbsr_qa.calibration.file.hdf5 import stamp
 from cbsr_qa.domain.errors import ConfigError, StoreError
@@ -63,7 +64,7 @@ def filled(url):
     return first
 
 
-@pytest.fixture(scope="module", params=["", KEY], ids=["not signed", "signed"])
+@pytest.fixture(scope="module", params=["", pytest.param(KEY, marks=REST)], ids=["not signed", "signed"])
 def stored(request, tmp_path_factory):
     """A database file, its key, and the run in it."""
     file = tmp_path_factory.mktemp("chain") / "runs.db"
@@ -189,7 +190,15 @@ EDITS = {
 }
 
 
-@pytest.mark.parametrize(("statement", "said"), EDITS.values(), ids=EDITS)
+#: A cell, a row less, one more and two exchanged; a digest; a link less, more, exchanged; a cell of another type.
+QUICK = (
+    *("configuration", "batch", "an instrument less", "a load more", "rows swapped", "a frame", "a frame's digest"),
+    *("the last bit", "a verdict", "no override", "a link less", "the last link", "no links", "no chain"),
+    *("links swapped", "a link's content", "text for a number", "truer than true", "a date that is none"),
+)
+
+
+@pytest.mark.parametrize(("statement", "said"), rest_but(EDITS, *QUICK))
 def test_an_edit_is_refused_by_name(copied, statement, said):
     path, run = copied
     edit(path, statement, run)
@@ -230,14 +239,14 @@ def add_checks(store, run):
 
 
 #: Its signatures are empty unless runs are signed.
-SIGNED = pytest.param("run_links", KEY, id="run_links-signed")
+SIGNED = pytest.param("run_links", KEY, id="run_links-signed", marks=REST)
 
 
 @pytest.mark.parametrize(
     ("table", "stored"),
     [
         *(
-            pytest.param(table, "", id=table, marks=() if table in ("runs", "measurements") else pytest.mark.rest)
+            pytest.param(table, "", id=table, marks=() if table == "measurements" else REST)
             for table in sorted({*Base.metadata.tables} - {*EMPTY, "run_links"})
         ),
         SIGNED,
@@ -296,7 +305,7 @@ READERS = {
 }
 
 
-@pytest.mark.parametrize(("statement", "read"), READERS.values(), ids=READERS)
+@pytest.mark.parametrize(("statement", "read"), rest_but(READERS, "load_run", "calibration", "override", "fleet"))
 def test_every_reader_refuses_what_it_uses(copied, statement, read):
     path, run = copied
     with open_store(f"sqlite:///{path}") as store:
@@ -388,11 +397,11 @@ def test_a_run_whose_chain_was_removed_is_unchained_and_goes_on_so(tmp_path):
 @pytest.mark.parametrize(
     ("begun_with", "read_with", "words"),
     [
-        (None, None, "chained by digests, not signed"),
+        pytest.param(None, None, "chained by digests, not signed", marks=REST),
         (None, KEY, "chained by digests, not signed"),
         (KEY, KEY, "chained by digests and signed"),
         (KEY, OTHER, "signatures not checked"),
-        (KEY, None, "signatures not checked"),
+        pytest.param(KEY, None, "signatures not checked", marks=REST),
     ],
 )
 def test_the_state_of_a_chain_is_said(tmp_path, monkeypatch, begun_with, read_with, words):
@@ -436,6 +445,7 @@ def forged(path, run):
             )
 
 
+@pytest.mark.parametrize("stored", ["", KEY], indirect=True)
 def test_who_has_no_key_cannot_compute_a_signed_chain_again(copied, stored):
     path, run = copied
     forged(path, run)
@@ -525,7 +535,7 @@ def stripped(path):
         database.executescript("delete from run_links; update runs set chain = null")
 
 
-@pytest.mark.parametrize("chained", [True, False], ids=["not signed", "no chain"])
+@pytest.mark.parametrize("chained", [True, pytest.param(False, marks=REST)], ids=["not signed", "no chain"])
 def test_a_run_that_no_key_vouches_for_is_not_added_to_where_a_key_is_set(tmp_path, monkeypatch, chained):
     url = f"sqlite:///{tmp_path / 'runs.db'}"
     run = filled(url)

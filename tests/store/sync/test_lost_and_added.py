@@ -79,7 +79,9 @@ def test_what_was_never_sent_or_grew_is_not_called_lost(full, centre):
     assert full.said(f"SELECT count(*) FROM verdict_overrides WHERE run = '{run}'") == [(2,)]
 
 
-@pytest.mark.parametrize("table", ["releases", "chart_references", "station_checks"])
+@pytest.mark.parametrize(
+    "table", [pytest.param("releases", marks=pytest.mark.rest), "chart_references", "station_checks"]
+)
 def test_what_is_no_run_and_was_lost_is_named(full, centre, table):
     sent(full, centre)
     if table == "station_checks":

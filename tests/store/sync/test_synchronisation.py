@@ -11,7 +11,8 @@ import pytest
 import sqlalchemy as sa
 import synced
 from stored_runs import calibration, frames, journalled, short_run
-from synced import assert_all_there, content, everything, judged, on_both, run_of, send, sent
+from synced import assert_all_there, at_once_on_both, content, everything, judged, on_both, run_of, send, sent
+from tiers import REST, rest_after
 
 from cbsr_qa.domain.errors import LAST_UNRELEASED, StoreError
 from cbsr_qa.domain.run.run import FramesTaken, RunEnded
@@ -28,7 +29,7 @@ from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
 LATER = datetime(2100, 1, 1, tzinfo=UTC)
 
 
-@on_both
+@at_once_on_both
 def test_everything_arrives_once(full, centre):
     first = sent(full, centre)
     assert (first.items, first.runs, first.quarantined, first.blocked) == (4, 1, [], [])
@@ -38,7 +39,7 @@ def test_everything_arrives_once(full, centre):
 
 
 @on_both
-@pytest.mark.parametrize("at_once", [1, 7])
+@pytest.mark.parametrize("at_once", [pytest.param(1, marks=REST), 7])
 def test_a_run_is_whole_up_to_a_link_after_every_parcel(full, centre, at_once, monkeypatch):
     monkeypatch.setattr(parcels, "MOST_LINKS", at_once)
     store = storing.store_parcel
@@ -143,20 +144,23 @@ def test_an_altered_run_is_quarantined_and_the_queue_goes_on(station, centre):
 
 @pytest.mark.parametrize(
     ("statement", "why"),
-    [
-        (
-            "UPDATE frame_blocks SET voltages = zeroblob(length(voltages)) WHERE block = 0 AND phase = 0",
-            "frame block 0",
-        ),
-        ("UPDATE sample_blocks SET sample_values = zeroblob(8) WHERE block = 0", "sample block 0"),
-        ("DELETE FROM unloaded_marks", "unloaded_marks (phase 0, mark 0) was removed"),
-        ("UPDATE run_links SET document = '0/9' WHERE number = 6", "does not follow from the link before it"),
-        ("DELETE FROM run_links WHERE number = 6", "link 6 in run_links is missing"),
-        ("UPDATE phase_ends SET ended_s = 7 WHERE phase = 0", "phase_ends (phase 0) was changed"),
-        ("UPDATE runs SET setting = 'none'", "runs.setting"),
-        ("UPDATE runs SET chain = NULL", "run_links has 23 rows at the station and 0 at the centre"),
-        ("INSERT INTO unloaded_marks VALUES ((SELECT run FROM runs), 0, 7, 1.0)", "unloaded_marks has 2 rows"),
-    ],
+    rest_after(
+        4,
+        [
+            (
+                "UPDATE frame_blocks SET voltages = zeroblob(length(voltages)) WHERE block = 0 AND phase = 0",
+                "frame block 0",
+            ),
+            ("UPDATE sample_blocks SET sample_values = zeroblob(8) WHERE block = 0", "sample block 0"),
+            ("DELETE FROM unloaded_marks", "unloaded_marks (phase 0, mark 0) was removed"),
+            ("UPDATE run_links SET document = '0/9' WHERE number = 6", "does not follow from the link before it"),
+            ("DELETE FROM run_links WHERE number = 6", "link 6 in run_links is missing"),
+            ("UPDATE phase_ends SET ended_s = 7 WHERE phase = 0", "phase_ends (phase 0) was changed"),
+            ("UPDATE runs SET setting = 'none'", "runs.setting"),
+            ("UPDATE runs SET chain = NULL", "run_links has 23 rows at the station and 0 at the centre"),
+            ("INSERT INTO unloaded_marks VALUES ((SELECT run FROM runs), 0, 7, 1.0)", "unloaded_marks has 2 rows"),
+        ],
+    ),
 )
 def test_each_alteration_is_named(station, centre, statement, why):
     run_of(station.store)
@@ -168,7 +172,7 @@ def test_each_alteration_is_named(station, centre, statement, why):
     assert len(refusals(centre.engine)) == 1
 
 
-@pytest.mark.parametrize("spoil", [None, Path.unlink, lambda file: file.write_bytes(b"x")])
+@pytest.mark.parametrize("spoil", [None, Path.unlink, pytest.param(lambda file: file.write_bytes(b"x"), marks=REST)])
 def test_frames_archived_before_they_were_sent_are_read_from_their_file(station, centre, tmp_path, spoil):
     judged(station.store, run_of(station.store))
     before = content(station.engine)
@@ -246,6 +250,7 @@ def test_another_batch_of_a_sensor_is_quarantined(place, centre):
 
 
 @on_both
+@pytest.mark.rest
 def test_of_calibrations_from_several_stations_one_is_valid(place, centre):
     stations = [place(f"station-{number}") for number in range(3)]
     issued = []
@@ -414,7 +419,7 @@ def test_a_read_only_centre_stops_the_queue(full, centre, postgres_server):
 
 
 @pytest.mark.postgres
-@pytest.mark.parametrize("how", ["killed", "cut off"])
+@pytest.mark.parametrize("how", ["killed", pytest.param("cut off", marks=REST)])
 def test_killed_or_cut_off_anywhere_nothing_is_lost_or_doubled(template, tmp_path, postgres_server, how):
     points = random.Random(how).sample(range(10, 120), 3)
     with postgres_server.new_database() as url:

@@ -3,9 +3,9 @@
 import os
 import subprocess
 import sys
-from pathlib import Path
 
 import pytest
+from pages import TOP, blocks
 
 from cbsr_qa.cli import main
 from cbsr_qa.plugin import Kind, RefusedError
@@ -13,7 +13,8 @@ from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.testing import assert_conforms
 from cbsr_qa.testing.kit.new import make_package
 
-TOP = Path(__file__).parents[3]
+#: What they use of Python is typed; tests/interface/test_python_pages.py runs it.
+PAGES = (TOP / "docs" / "tutorials" / "first-sensor-in-a-notebook.md", TOP / "docs" / "reference" / "python.md")
 PLUGINS = discover()
 
 
@@ -65,9 +66,14 @@ def _folder(parent, name):
 
 
 @pytest.mark.rest
-def test_new_packages_are_strictly_typed(made):
+def test_new_packages_and_the_pages_on_python_are_strictly_typed(made, tmp_path):
+    """Both at once: mypy needs ten seconds to load what it knows of this project."""
     modules = [str(package.folder / package.module) for package in made.values()]
     path = os.pathsep.join(str(package.folder) for package in made.values())
+    for page in PAGES:
+        module = tmp_path / f"{page.stem.replace('-', '_')}.py"
+        module.write_text("\n".join(blocks(page, "python")))
+        modules.append(str(module))
     done = _done("mypy", *modules, cwd=TOP, MYPYPATH=path)  # with the settings and what is known of `make types`
     assert done.returncode == 0, done.stdout + done.stderr
 
