@@ -48,6 +48,7 @@ def modules_of(names: set[str]) -> set[str]:
     return {f"cbsr_qa_plugins.{targets[name].split(':')[0]}" for name in names}
 
 
+@pytest.mark.rest
 def test_a_run_on_the_shipped_station_imports_the_effects_of_its_scene_and_no_other():
     done = subprocess.run([sys.executable, "-c", _SESSION], capture_output=True, text=True, check=True)
     imported = {module for module in json.loads(done.stdout) if not module.rpartition(".")[2].startswith("_")}

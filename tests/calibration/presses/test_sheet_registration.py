@@ -24,7 +24,9 @@ def registered(pressed, *, stated=True, radius_mm=None):
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize(("pairs", "sign"), [(opposite_pairs(), 1), (adjacent_pairs(), -1)])
+@pytest.mark.parametrize(
+    ("pairs", "sign"), [pytest.param(opposite_pairs(), 1, marks=pytest.mark.rest), (adjacent_pairs(), -1)]
+)
 def test_the_pose_that_presses_were_labelled_with_is_found(mirrored, pairs, sign):
     pressed = pressed_sheet(60, pairs=pairs, mirrored=mirrored, rotation_deg=-140.0, scale=1.04)
     found = registered(replace(pressed, changes=sign * pressed.changes))
@@ -122,7 +124,8 @@ def test_readings_that_have_nothing_to_do_with_the_places_are_not_trusted():
     assert "explains" in shuffled.registration.why
 
 
-@pytest.mark.parametrize("radius_stated", [True, pytest.param(False, marks=pytest.mark.rest)])
+@pytest.mark.rest
+@pytest.mark.parametrize("radius_stated", [True, False])
 def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, radius_stated):
     plain = skins("no_pattern")
     whole = registered(plain, stated=radius_stated)
@@ -143,6 +146,7 @@ def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, r
     assert np.median(apart) < 5
 
 
+@pytest.mark.rest
 def test_a_patterned_skin_is_not_what_the_disc_describes(skins):
     lines = skins("parallel_lines")
     for count in (9, 200):
@@ -174,6 +178,7 @@ def test_measuring_electrodes_that_are_numbered_from_elsewhere_are_named():
     np.testing.assert_array_equal(order.pairs, pressed.pairs)
 
 
+@pytest.mark.rest
 def test_a_pattern_that_leaves_out_what_it_drives_is_numbered_as_it_says(skins):
     """Other numberings explain the plain skin a little better, but would measure at driven electrodes."""
     skin = skins("no_pattern")

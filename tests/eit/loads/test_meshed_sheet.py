@@ -95,7 +95,7 @@ def test_fields_alone_are_those_of_the_expansion(arc_sensor):
         assert np.array_equal(sheet.fields(places, reach, 5), sheet.expansion(places, reach, 5).fields)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (-40.0, -18.0)])
+@pytest.mark.parametrize("place", [pytest.param((0.0, 0.0), marks=pytest.mark.rest), (-40.0, -18.0)])
 def test_a_patch_with_corners_under_a_load_agrees_with_the_load_in_the_mesh(place):
     expected = meshed_change(PATCH, 4.5, place, 6.5, 0.5)
     found = load_model(PATCH).readings(one(place, 6.5, 0.5)).change[0]
@@ -103,6 +103,7 @@ def test_a_patch_with_corners_under_a_load_agrees_with_the_load_in_the_mesh(plac
     assert np.linalg.norm((found - expected)[used]) < 1e-3 * np.linalg.norm(expected[used])
 
 
+@pytest.mark.rest
 def test_a_disc_with_strips_under_a_load_agrees_with_the_load_in_the_mesh(arc_sensor):
     sensor = arc_sensor(radius_mm=50.0)
     expected = meshed_change(sensor, 5.0, (20.0, 12.0), 6.5, -0.4)
@@ -111,6 +112,7 @@ def test_a_disc_with_strips_under_a_load_agrees_with_the_load_in_the_mesh(arc_se
     assert np.linalg.norm((found - expected)[used]) < 2e-3 * np.linalg.norm(expected[used])
 
 
+@pytest.mark.rest
 def test_loads_on_a_patch_are_found():
     model = load_model(PATCH)
     used = PATCH.pattern.usable()

@@ -187,6 +187,12 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
     TotalVariation(hyperparameter=prepared.choice.value).prepare(problem).images(20 * other[None])  # nobody said
 
 
+@pytest.fixture(scope="module")
+def image(problem, noisy) -> np.ndarray:
+    """The image of a parameter that is given."""
+    return TotalVariation(hyperparameter=_ALPHA).prepare(problem).images(noisy[None])
+
+
 @pytest.mark.parametrize(
     ("sample", "reason"),
     [
@@ -197,14 +203,12 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
     ],
     ids=["zero", "tiny", "huge", "constant"],
 )
-def test_a_sample_that_says_nothing_is_refused_as_such(problem, noisy, sample, reason):
+def test_a_sample_that_says_nothing_is_refused_as_such(problem, noisy, image, sample, reason):
     with pytest.raises(NumericsError, match=reason) as refused:
         TotalVariation().prepare(replace(problem, sample=sample))
     assert refused.value.remedy
     given = TotalVariation(hyperparameter=_ALPHA).prepare(replace(problem, sample=sample))  # does not look at it
-    assert np.array_equal(
-        given.images(noisy[None]), TotalVariation(hyperparameter=_ALPHA).prepare(problem).images(noisy[None])
-    )
+    assert np.array_equal(given.images(noisy[None]), image)
 
 
 @pytest.mark.parametrize(
