@@ -44,6 +44,7 @@ def test_places_and_time_are_those_of_the_loads_that_are_left():
     assert costs[-1].seen is None
 
 
+@pytest.mark.rest
 def test_the_whole_map_states_what_the_calibration_states():
     run, found = a_run(PLACES, np.full(len(PLACES), 4.0))
     model = found.learned.model

@@ -245,6 +245,7 @@ def test_nothing_is_learned_from_nothing(sheet):
         learn_place(sheet.changes[[0] * 9], sheet.labels_mm[:9], sheet.pairs, 16)
 
 
+@pytest.mark.rest
 def test_many_presses_with_the_same_readings_are_learned_from(sheet):
     changes = np.where(np.arange(12)[:, None] < 11, sheet.changes[0], sheet.changes[:12])
     learned = learn_place(changes, sheet.labels_mm[:12], sheet.pairs, 16)

@@ -65,6 +65,7 @@ def test_forces_beyond_those_pressed_are_flagged_and_their_intervals_reach_back(
     assert inside(truth, found.within_68) > 0.95
 
 
+@pytest.mark.rest
 def test_a_depth_may_be_counted_from_anywhere_and_upwards():
     """A robot's z in place of a depth: another origin and direction change nothing but the numbers."""
     sheet = pressed_sheet(200, seed=4, uneven=0.1)

@@ -37,7 +37,7 @@ SMOOTH = {
 
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize("hyperparameter", rest_but({1e-3, 30.0}, [1e-3, 1e-2, 1.0, 30.0]))
+@pytest.mark.parametrize("hyperparameter", rest_but({30.0}, [1e-3, 1e-2, 1.0, 30.0]))
 def test_priors_that_leave_a_constant_free_give_the_textbook_image(problem, name, weighted, hyperparameter):
     """(JᵀWJ + λ²R) is regular although R is not: the readings see the constant."""
     made, written_out = SMOOTH[name]

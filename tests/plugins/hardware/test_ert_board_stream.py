@@ -83,10 +83,10 @@ def opened():
     "options",
     [
         {},
-        ASCII,
+        pytest.param(ASCII, marks=pytest.mark.rest),
         ASCII | {"signed": True, "zero_counts": 0},
-        {"order": "drive"},
-        {"order": "measure", "first_reading": 1},
+        pytest.param({"order": "drive"}, marks=pytest.mark.rest),
+        pytest.param({"order": "measure", "first_reading": 1}, marks=pytest.mark.rest),
         ASCII | {"order": "drive", "first_reading": 17},
     ],
     ids=lambda options: ", ".join(f"{key}={value}" for key, value in options.items()) or "binary",
@@ -270,6 +270,7 @@ def test_a_port_without_a_board_is_refused():
         open_board(told(TABLE | {"address": "/dev/none"}, RealClock()))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("options", [{}, ASCII | {"order": "drive"}], ids=["binary", "ascii"])
 def test_a_board_of_32_pairs_sends_what_the_sensor_type_has(opened, options):
     bench = opened(kind=larger_sensor(32), **options)

@@ -39,6 +39,7 @@ def test_a_frame_is_in_canonical_order_whatever_the_board_s(inner):
         assert first[0] < first[1] or inner == "voltage"
 
 
+@pytest.mark.rest
 def test_frames_of_32_electrodes_come_through_a_multiplexer_of_so_many_channels(monkeypatch):
     """The shipped multiplexer refuses them; another is a plugin, here the same firmware on a larger board."""
     ohm = np.add.outer(100.0 * np.arange(1, 33), np.arange(1, 33)) + np.diag(np.full(32, 18e3))
