@@ -58,6 +58,7 @@ def test_a_good_run_at_one_strain_says_that_its_intercept_is_assumed(whole):
     assert issued.validity.radius_mm == 30.0
 
 
+@pytest.mark.rest
 def test_missing_places_are_a_reason_and_too_few_give_no_force(record, whole):
     issued, _ = _calibrated(_of_loads(record, range(4)))
     assert any(reason.startswith("force was learned at only 4 places") for reason in issued.validity.reduced)
@@ -81,6 +82,7 @@ def test_a_load_cell_flat_at_its_limit_calibrates_nothing(record):
     assert "saturated" in why
 
 
+@pytest.mark.rest
 def test_loads_of_a_load_cell_that_was_saturated_for_some_are_named(record):
     """A cell whose amplifier is stuck high during the second and third press."""
     stuck = [record.phases[0].loads[index] for index in (1, 2)]
@@ -97,6 +99,7 @@ def test_loads_of_a_load_cell_that_was_saturated_for_some_are_named(record):
     assert issued.baseline[1].value is None
 
 
+@pytest.mark.rest
 def test_readings_of_a_dead_electrode_are_left_out_and_force_is_still_told(record, whole):
     pattern = record.sensor_type.pattern
     touching = (np.array(pattern.drive) == _DEAD).any(axis=1)[:, None]
@@ -141,6 +144,7 @@ def test_a_load_that_answers_the_other_way_is_named_and_left_out(record):
     assert issued.force is not None
 
 
+@pytest.mark.rest
 def test_loads_that_bear_a_model_out_widen_its_range(record):
     (phase,) = record.phases
     # L3 … L6 lie 21 mm from the centre, L1 and L2 30 mm.

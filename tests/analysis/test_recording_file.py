@@ -172,6 +172,7 @@ def test_a_lost_sample_is_no_sample(tmp_path):
     np.testing.assert_array_equal(read_recording(path).samples[0].time_s, np.delete(force.time_s, 3))
 
 
+@pytest.mark.rest
 def test_a_full_disk_is_refused_in_one_message_and_leaves_nothing(tmp_path):
     code = (
         "import resource, sys; sys.path.insert(0, 'tests/analysis')\n"

@@ -93,6 +93,7 @@ def test_shuffled_strains_come_to_the_same():
 # --- bad input ---
 
 
+@pytest.mark.rest
 def test_a_dead_pin_is_refused():
     effects = [("source-compliance", {"limit_V": 20.0}), ("electrode-open", {"electrode": 1})]
     with pytest.raises(AssertionError, match="rule 'compliance': 1 of 1 readings of a frame"):  # the station stops it

@@ -5,7 +5,7 @@ import re
 
 import pytest
 from pages import TOP
-from tiers import rest_but
+from tiers import rest_but_named
 
 _PAGES = [*sorted(TOP.glob("*.md")), *sorted((TOP / "docs").rglob("*.md"))]
 
@@ -84,7 +84,7 @@ def _banned(page):
 _MODULES = sorted(path for folder in ("cbsr_qa", "plugins") for path in (TOP / folder).rglob("*.py"))
 
 
-@pytest.mark.parametrize("texts", rest_but({"pages": _PAGES, "messages": _MODULES}, "pages"))
+@pytest.mark.parametrize("texts", rest_but_named({"pages": _PAGES, "messages": _MODULES}, "pages"))
 def test_no_page_or_message_reads_as_translated(texts):
     found = [line for page in texts for line in _banned(page)]
     assert not found, "\n".join(found)

@@ -70,7 +70,14 @@ def test_a_value_that_is_lacking_is_named_with_its_reason(run):
     assert "L3 (nine) not measured, error: lost" in words
 
 
-@pytest.mark.parametrize("phases", [("nine",), ("nine", "random"), ("noise", "nine", "random", "relaxation")])
+@pytest.mark.parametrize(
+    "phases",
+    [
+        ("nine",),
+        pytest.param(("nine", "random"), marks=pytest.mark.rest),
+        pytest.param(("noise", "nine", "random", "relaxation"), marks=pytest.mark.rest),
+    ],
+)
 @pytest.mark.parametrize("value", [0.1, 1.8, 50.0, None])
 def test_the_picture_says_outcomes_without_colour(run, phases, value):
     judged = [measured(run, load.phase, load.record.index, value) for load in run.loads if load.phase in phases]

@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from datetime import UTC, datetime
+from functools import cache
 
 import numpy as np
 from load_samples import Sampler, planned_loads, sample_force, sample_frames, sample_timeline
@@ -88,8 +89,9 @@ def sample_calibration(observation):
     )
 
 
+@cache
 def sample_run(size_mm=3.0, **identity):
-    """A whole run of 23 loads with every section's data in it."""
+    """A whole run of 23 loads with every section's data in it, the same object for all: nobody changes it."""
     sampler = Sampler(size_mm=size_mm)
     phases, loads, timelines, start_s = [], [], [], 0.0
     for (name, role), planned in planned_loads().items():

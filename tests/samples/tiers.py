@@ -1,27 +1,54 @@
-"""Which rows of a table ``make test`` runs: enough for the rule, its refusal and its edges; others are ``rest``."""
+"""Rows of a table of tests by tier: ``make test`` runs the most telling ones, ``make test-rest`` all others.
+
+The rule, its refusal and its edges stay in ``make test``.
+"""
+
+from collections.abc import Collection, Iterable, Mapping
 
 import pytest
+from _pytest.mark import ParameterSet
 
 REST = pytest.mark.rest
 
 
-def rest_but(rows, *kept):
-    """Return the rows of a table as parameters by name; those that are not named here belong to ``make test-rest``.
+def rest_but(kept: Collection[object], rows: Iterable[object]) -> list[ParameterSet]:
+    """Mark rows with ``rest``, but those that are kept in ``make test``.
 
     Parameters
     ----------
-    rows : name → value, or the values of one row.
+    kept : the rows' ids where they have one, else the first of their values.
+    rows : as of ``pytest.mark.parametrize``; a tuple is a row of several values.
+
+    Raises
+    ------
+    ValueError
+        What is kept is no row's.
     """
-    assert {*kept} <= {*rows}, f"no such row: {', '.join(sorted({*kept} - {*rows}))}"
+    parameters = [_as_parameters(row) for row in rows]
+    names = [each.values[0] if each.id is None else each.id for each in parameters]
+    if missing := [name for name in kept if not any(name is each or name == each for each in names)]:
+        raise ValueError(f"{missing}: no such row; there are {names}")
     return [
-        pytest.param(*(row if isinstance(row, tuple) else (row,)), id=name, marks=() if name in kept else REST)
-        for name, row in rows.items()
+        each if name in kept else pytest.param(*each.values, id=each.id, marks=[*each.marks, REST])
+        for name, each in zip(names, parameters, strict=True)
     ]
 
 
-def rest_after(count, rows):
-    """Return rows as parameters; those after the first so many belong to ``make test-rest``."""
+def rest_but_named(rows: Mapping[str, object], *kept: str) -> list[ParameterSet]:
+    """Return rows (name → value, or the values of one row) as parameters by name; as :func:`rest_but`."""
+    return rest_but(kept, [pytest.param(*_as_parameters(row).values, id=name) for name, row in rows.items()])
+
+
+def rest_after(count: int, rows: Iterable[object]) -> list[ParameterSet]:
+    """Mark rows after the first so many with ``rest``."""
+    parameters = [_as_parameters(row) for row in rows]
     return [
-        pytest.param(*(row if isinstance(row, tuple) else (row,)), marks=() if number < count else REST)
-        for number, row in enumerate(rows)
+        each if number < count else pytest.param(*each.values, id=each.id, marks=[*each.marks, REST])
+        for number, each in enumerate(parameters)
     ]
+
+
+def _as_parameters(row: object) -> ParameterSet:
+    if isinstance(row, ParameterSet):
+        return row
+    return pytest.param(*row) if isinstance(row, tuple) else pytest.param(row)

@@ -48,6 +48,7 @@ def modules_of(names: set[str]) -> set[str]:
     return {f"cbsr_qa_plugins.{targets[name].split(':')[0]}" for name in names}
 
 
+@pytest.mark.rest
 def test_a_run_on_the_shipped_station_imports_the_effects_of_its_scene_and_no_other():
     done = subprocess.run([sys.executable, "-c", _SESSION], capture_output=True, text=True, check=True)
     imported = {module for module in json.loads(done.stdout) if not module.rpartition(".")[2].startswith("_")}
@@ -126,14 +127,22 @@ def _uses_streams(effect: type) -> bool:
     return any("RandomStream" in inspect.getsource(one) for one in own)
 
 
-@pytest.mark.parametrize("name", DRAWING)
-def test_an_effect_more_leaves_every_other_stream_as_it_is(name: str, monkeypatch: pytest.MonkeyPatch):
-    with spied(monkeypatch) as with_it:
+@pytest.fixture(scope="module")
+def with_all() -> dict[str, list[bytes]]:
+    """What is drawn with every effect."""
+    with pytest.MonkeyPatch.context() as patch, spied(patch) as drawn:
         gone_through(DRAWING)
+    return drawn
+
+
+@pytest.mark.parametrize("name", DRAWING)
+def test_an_effect_more_leaves_every_other_stream_as_it_is(
+    name: str, with_all: dict[str, list[bytes]], monkeypatch: pytest.MonkeyPatch
+):
     with spied(monkeypatch) as without:
         gone_through([other for other in DRAWING if other != name])
     assert name not in without
-    assert without == {other: numbers for other, numbers in with_it.items() if other != name}
+    assert without == {other: numbers for other, numbers in with_all.items() if other != name}
 
 
 # --- sums ---

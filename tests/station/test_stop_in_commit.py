@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from stored_runs import CONFIGURATION, INDENTER, MATERIAL, SENSOR_TYPE, identity
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.domain.plan.steps import Hold, Press, Release
 from cbsr_qa.domain.readings.loads import Load
@@ -66,7 +66,7 @@ def run_torn(path, kind, call):
         return ended, torn, store.runs.load(run), script
 
 
-@pytest.mark.parametrize("call", rest_but({str(n): n for n in CALLS}, "1", "10", "60", "200", "400"))
+@pytest.mark.parametrize("call", rest_but_named({str(n): n for n in CALLS}, "1", "10", "60", "200", "400"))
 def test_frames_are_stored_whole_or_not_at_all(tmp_path, call):
     ended, torn, back, script = run_torn(tmp_path / "runs.db", FramesTaken, call)
     assert torn.left <= 0, "the delivery has not that many calls"

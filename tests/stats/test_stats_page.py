@@ -33,6 +33,7 @@ def test_every_module_it_names_is_there():
         importlib.import_module(f"cbsr_qa.stats.{name}")
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("design", ["each sensor on one station", "a third on all stations"])
 def test_its_table_is_what_is_measured(benchmark, design):
     counted = benchmark.counted(benchmark.design(benchmark.DESIGNS[design]), SEEDS)

@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 import sqlalchemy as sa
 from stored_lots import judged, measured, store_run
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.results.fleet import RunSelection
@@ -43,7 +43,7 @@ ODD = {
 
 
 @pytest.mark.postgres
-@pytest.mark.parametrize("cell", rest_but(ODD, "a day of no calendar"))
+@pytest.mark.parametrize("cell", rest_but_named(ODD, "a day of no calendar"))
 def test_a_run_that_was_moved_out_of_a_list_or_cannot_be_read_is_listed_as_altered(postgres_database, cell):
     random = np.random.default_rng(1)
     with open_store(postgres_database, durable=False) as store:

@@ -8,7 +8,7 @@ from pathlib import Path
 
 import pytest
 from stored_runs import journalled, short_run
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
@@ -201,7 +201,7 @@ STEPS = {
 STEPS |= {"after _empty": (archiving, "_empty", AFTER), "fsync": (os, "fsync", 0), "second fsync": (os, "fsync", 1)}
 
 
-@pytest.mark.parametrize(("module", "name", "call"), rest_but(STEPS, "_verify", "insert", "after _empty"))
+@pytest.mark.parametrize(("module", "name", "call"), rest_but_named(STEPS, "_verify", "insert", "after _empty"))
 def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, module, name, call):
     path, run, before = kept
 
@@ -220,7 +220,7 @@ def test_a_kill_at_any_step_of_archiving_loses_nothing(kept, module, name, call)
 BACK = {"read": ("read_checked", 0), "first": ("update", 0), "third": ("update", 2), "delete": ("delete", 0)}
 
 
-@pytest.mark.parametrize(("name", "call"), rest_but(BACK, "third"))
+@pytest.mark.parametrize(("name", "call"), rest_but_named(BACK, "third"))
 def test_a_kill_while_frames_come_back_loses_nothing(kept, name, call):
     path, run, before = kept
     with open_store(f"sqlite:///{path}") as store:

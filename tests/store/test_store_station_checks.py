@@ -8,7 +8,7 @@ import pytest
 from altered_runs import another_value, change
 from sqlalchemy import select
 from stored_runs import frames, identity, journalled, short_run
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.run.run import InstrumentIdentity
@@ -99,8 +99,8 @@ FIRST = (
 )
 
 
-@pytest.mark.parametrize("key", rest_but({"signed": "a key of twenty-two let", "not signed": ""}, "signed"))
-@pytest.mark.parametrize("statement", rest_but(CHANGES, *FIRST))
+@pytest.mark.parametrize("key", rest_but_named({"signed": "a key of twenty-two let", "not signed": ""}, "signed"))
+@pytest.mark.parametrize("statement", rest_but_named(CHANGES, *FIRST))
 def test_a_check_that_was_altered_has_failed_and_says_why(tmp_path, monkeypatch, statement, key):
     if key:
         monkeypatch.setenv("CBSR_QA_SIGNING_KEY", key)

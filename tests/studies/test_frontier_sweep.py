@@ -192,6 +192,7 @@ def test_ctrl_c_ends_a_sweep_in_the_middle_of_a_piece(tmp_path, path):
     assert set(Kept(path).found) == {"square/0", "square/1"}
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("command", "at_work_s"),
     [

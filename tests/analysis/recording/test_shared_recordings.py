@@ -5,6 +5,7 @@ import re
 import numpy as np
 import pytest
 from shared_documents import document
+from tiers import rest_but
 
 from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.domain.readings.frames import ReadOptions
@@ -220,6 +221,7 @@ def test_rods_in_the_ds_tank(tank, shared, name, sign, places, water):
         assert abs((event["electrode"] - electrode + 8) % 16 - 8) < 0.25
 
 
+@pytest.mark.rest
 def test_water_against_water_is_no_event_and_alone_is_refused(tank, shared):
     folder = shared / "data" / "tank" / "ds_data_2004" / "homogeneous"
     for one, other in ((2, 1), (3, 1), (3, 2)):
@@ -231,7 +233,7 @@ def test_water_against_water_is_no_event_and_alone_is_refused(tank, shared):
     assert "--reference" in alone["refused"]["remedy"]
 
 
-@pytest.mark.parametrize("correct", [True, False])
+@pytest.mark.parametrize("correct", rest_but({True}, [True, False]))
 def test_reading_memory_can_be_forced_on_or_off_for_one_reason_only_the_places(shared, correct):
     format_ = discover().factory("recording", "ert-board-csv")()
     recording = format_.read(shared / "data" / "black_sensor" / "expABCX_150mm_8.5wt_6.csv", ReadOptions())

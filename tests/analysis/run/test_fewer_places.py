@@ -44,6 +44,7 @@ def test_places_and_time_are_those_of_the_loads_that_are_left():
     assert costs[-1].seen is None
 
 
+@pytest.mark.rest
 def test_the_whole_map_states_what_the_calibration_states():
     run, found = a_run(PLACES, np.full(len(PLACES), 4.0))
     model = found.learned.model
@@ -74,6 +75,7 @@ def test_an_even_sheet_is_known_from_few_places():
     assert all(cost.seen < 0.01 for cost in costs[:-1])
 
 
+@pytest.mark.rest
 def test_what_the_line_of_the_sensor_explains_is_no_error_of_the_map():
     """Loads from light to heavy, on a sensor with another intercept: ratios differ by tens of percent."""
     random = np.random.default_rng(4)

@@ -262,6 +262,7 @@ def test_the_report_says_what_fewer_places_would_have_told(observed, measured):
     assert "Left out" not in str(TimeAndAccuracy().render(blind).blocks)
 
 
+@pytest.mark.rest
 def test_loads_that_are_refused_are_named_with_their_reason(observed):
     blind = tuple(replace(load, force_N=0.0) if load.record.load.label == "L3" else load for load in observed.loads)
     run = replace(observed, loads=blind)

@@ -226,6 +226,7 @@ def test_an_offset_on_all_readings_is_named_with_its_time_and_taken_out_of_a_run
         )
 
 
+@pytest.mark.rest
 def test_a_rectifying_front_end_is_named_and_its_dead_polarity_left_out_of_a_run():
     sensor = load_sensor_type("disc-100mm").value
     count = sensor.electrodes.count

@@ -102,6 +102,7 @@ def test_a_sheet_not_as_modelled_is_located_better_by_what_its_presses_taught(tm
     assert rms_N[0] < 0.8 * rms_N[1]
 
 
+@pytest.mark.rest
 def test_a_sheet_as_modelled_keeps_the_model_and_its_file_does_not_change():
     run = observed()
     place = run_place(run)
@@ -130,6 +131,7 @@ def test_flags_stay_and_frames_without_a_load_like_the_presses_keep_the_place_of
     np.testing.assert_array_equal(one.place_mm, other.place_mm)
 
 
+@pytest.mark.rest
 def test_few_places_teach_nothing_and_the_run_says_why():
     place = run_place(observed(places=5))
     assert place.learned is None

@@ -68,6 +68,7 @@ def test_errors_of_predicted_loads_hold_what_they_are_off_by(runs):
     ).all()
 
 
+@pytest.mark.rest
 def test_forces_of_another_hold_follow(runs):
     whole, averaged, predicted = runs
     rms = {

@@ -9,7 +9,7 @@ import pytest
 import scipy.io
 from board_files import BoardFile
 from pressed_files import exported, pressed_frames
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.images import EventImages, Sighting, frames_around, nearest_frames
@@ -73,7 +73,7 @@ def read(path):
     return CbsrRecording().read(path, ReadOptions())
 
 
-@pytest.mark.parametrize("name", rest_but({name: name for name in METHODS}, *FIRST))
+@pytest.mark.parametrize("name", rest_but_named({name: name for name in METHODS}, *FIRST))
 def test_every_method_images_the_press_where_it_is(pressed, name):
     if name.startswith("pyeit"):
         pytest.importorskip("pyeit")

@@ -2,11 +2,13 @@
 
 import tomllib
 from dataclasses import replace
+from functools import cache
 from importlib.resources import files
 
 import numpy as np
 import pytest
 from simulated_runs import observed_run, simulated_run
+from tiers import rest_but
 
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.calibration.fits.hysteresis_fit import hysteresis, loop_curve
@@ -42,37 +44,36 @@ def _figures(run):
 # --- against the simulated truth -------------------------------------------------------------------------
 
 
-@pytest.fixture(scope="module")
-def quiet():
-    return {width: observed_run(_record(width, cycles=1)) for width in (0.0, 0.04, 0.1)}
+_WIDTHS = rest_but({0.0, 0.1}, [0.0, 0.04, 0.1])  # none at all, and the widest, stay in make test
 
 
-@pytest.fixture(scope="module")
-def figures(quiet):
-    return {width: _figures(run) for width, run in quiet.items()}
+@cache
+def _quiet(width):
+    return observed_run(_record(width, cycles=1))
 
 
-@pytest.mark.parametrize("width", [0.0, 0.04, 0.1])
-def test_the_loop_is_as_wide_as_the_world_was_told(figures, width):
+@pytest.mark.parametrize("width", _WIDTHS)
+def test_the_loop_is_as_wide_as_the_world_was_told(width):
     """The effect's loop is widest half-way, at 15 of 30 %: by its width, of the change at the tip."""
-    found = figures[width][""]
+    found = _figures(_quiet(width))[""]
     assert found.value == pytest.approx(100 * width, abs=0.3)
     assert found.uncertainty < 0.2
 
 
-def test_the_branches_lie_apart_as_the_effects_parabola(quiet):
+def test_the_branches_lie_apart_as_the_effects_parabola():
     """4 width x (1 − x) at the strains of the way down: three quarters of it at x = 3/4 and 1/4."""
-    curve = loop_curve(quiet[0.1].loops[0], relaxed=True, last_s=_LAST_S)
+    curve = loop_curve(_quiet(0.1).loops[0], relaxed=True, last_s=_LAST_S)
     assert curve.strain == pytest.approx([0.075, 0.15, 0.225, 0.3, 0.225, 0.15, 0.075])
     assert 100 * curve.difference == pytest.approx([7.5, 10.0, 7.5], abs=0.5)
-    true_kPa = quiet[0.1].record.material.modulus_kPa.value * curve.strain
+    true_kPa = _quiet(0.1).record.material.modulus_kPa.value * curve.strain
     assert curve.stress_kPa == pytest.approx(true_kPa, rel=0.03)  # the head lies up to 0.05 mm off: the sheet's seat
 
 
-def test_creep_passes_for_hysteresis_only_in_what_was_read(figures):
-    for width, found in figures.items():
-        assert found["as read"].value > found[""].value + 2.5
-        assert found["as read"].value == pytest.approx(100 * width + 3.5, abs=0.3)  # what 60 s leave of the kernels
+@pytest.mark.parametrize("width", _WIDTHS)
+def test_creep_passes_for_hysteresis_only_in_what_was_read(width):
+    found = _figures(_quiet(width))
+    assert found["as read"].value > found[""].value + 2.5
+    assert found["as read"].value == pytest.approx(100 * width + 3.5, abs=0.3)  # what 60 s leave of the kernels
 
 
 @pytest.mark.rest
@@ -146,9 +147,9 @@ def test_loops_neither_calibrate_nor_test_force_nor_change_what_does():
     assert _figures(without)[""].value is None
 
 
-def test_a_run_of_loops_alone_knows_which_way_its_sheet_responds(quiet):
-    assert quiet[0.0].loads == ()
-    assert quiet[0.0].response_how == "decided from 1 loads: 1 loads raise the conductance, 0 lower it"
+def test_a_run_of_loops_alone_knows_which_way_its_sheet_responds():
+    assert _quiet(0.0).loads == ()
+    assert _quiet(0.0).response_how == "decided from 1 loads: 1 loads raise the conductance, 0 lower it"
 
 
 # --- loops made by hand ----------------------------------------------------------------------------------
@@ -241,8 +242,8 @@ def test_drift_slower_than_the_holds_is_not_called_hysteresis():
         loop_curve(loop, relaxed=True, last_s=_LAST_S)
 
 
-def test_the_metric_says_what_is_missing(quiet):
-    run = quiet[0.04]
+def test_the_metric_says_what_is_missing():
+    run = _quiet(0.1)
     (loop,) = run.loops
     for changed, said in (
         ((), "no strain was reached from below and from above"),

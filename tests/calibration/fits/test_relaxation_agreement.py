@@ -78,6 +78,7 @@ def test_what_cannot_be_compared_is_undecided_and_says_why(traces, why):
     assert why in found.why
 
 
+@pytest.mark.rest
 def test_runs_compare_blobs_with_the_whole_image():
     run = observed_run(simulated_run(NINE_LOCATIONS_MM, noise=5e-5))
     found = {(m.name, m.qualifier): m for m in BlobAndImageRelaxation().measure_run(run)}

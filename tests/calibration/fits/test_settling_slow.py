@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 
+import pytest
 import simulated_runs
 
 from cbsr_qa.analysis.evaluate import judge
@@ -33,6 +34,7 @@ def _one(measured, name, qualifier):
     return next(m for m in measured if (m.name, m.qualifier) == (name, qualifier))
 
 
+@pytest.mark.rest
 def test_a_slow_return_is_a_lower_bound_and_never_passes(monkeypatch):
     each, measured = _measured(monkeypatch, 120.0)
     unloading = [m for m in each if m.qualifier == "conductance, unloading"]

@@ -5,11 +5,12 @@ import pytest
 from steady_trials import Trial, rms, tried
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(
     ("trial", "worst"),
     [
         pytest.param(Trial(sensors=40, held=40), 0.03, id="0.4 frames/s"),
-        pytest.param(Trial(period_s=0.25, sensors=20, held=60), 0.02, id="4 frames/s", marks=pytest.mark.rest),
+        pytest.param(Trial(period_s=0.25, sensors=20, held=60), 0.02, id="4 frames/s"),
     ],
 )
 def test_three_tenths_of_the_settling_time_give_the_steady_state(trial, worst):

@@ -46,6 +46,7 @@ def test_places_and_regions_of_presses_not_seen(sheet, learned):
     assert places.in_model.mean() > 0.95
 
 
+@pytest.mark.rest
 def test_presses_at_one_place_do_not_tell_each_others_errors(sheet):
     rows, random = np.tile(np.arange(12), 4), np.random.default_rng(12)
     noise = 0.05 * np.median(np.abs(sheet.changes)) * random.standard_normal((48, sheet.changes.shape[1]))
@@ -67,6 +68,7 @@ def test_error_falls_with_the_number_of_presses(sheet, learned):
     assert errors[1] < 0.7 * errors[0]
 
 
+@pytest.mark.rest
 def test_units_order_and_polarity_of_readings_change_little():
     """Searches of hyperparameters stop at other digits; other polarities pair other readings as the same turned."""
     sheet = pressed_sheet(80, seed=8)
@@ -83,6 +85,7 @@ def test_units_order_and_polarity_of_readings_change_little():
     assert np.median(np.linalg.norm(opposite - here, axis=1)) < 0.15
 
 
+@pytest.mark.rest
 def test_places_turn_with_the_frame_they_are_labelled_in(sheet, learned):
     turn = np.array([[0.0, -1.0], [1.0, 0.0]])
     other = learn_place(sheet.changes[LEARNED], sheet.labels_mm[LEARNED] @ turn.T + [5, 9], sheet.pairs, 16)
@@ -91,6 +94,7 @@ def test_places_turn_with_the_frame_they_are_labelled_in(sheet, learned):
     assert np.median(np.linalg.norm(there - here, axis=1)) < 0.05
 
 
+@pytest.mark.rest
 def test_rows_come_in_any_order_where_times_are_given(sheet, learned):
     order = np.random.default_rng(4).permutation(60)
     time_s = 3.0 * order + 100
@@ -102,7 +106,7 @@ def test_rows_come_in_any_order_where_times_are_given(sheet, learned):
     assert missed.mean() == pytest.approx(held.mean_mm)
 
 
-@pytest.mark.parametrize("registered", [True, False])
+@pytest.mark.parametrize("registered", [True, pytest.param(False, marks=pytest.mark.rest)])
 def test_a_known_frame_of_the_electrodes_is_kept(registered):
     """Electrode 0 lies at 28.6° from the labels' x, numbers run clockwise there: that is what axes are.
 
@@ -120,6 +124,7 @@ def test_a_known_frame_of_the_electrodes_is_kept(registered):
     assert model.centre_mm == pytest.approx([46, -408], abs=1.5 if registered else 2.5)
 
 
+@pytest.mark.rest
 def test_drift_over_a_session_widens_regions(sheet, learned):
     """Gains that drift apart: presses in time's order show it, shuffled ones do not."""
     random = np.random.default_rng(3)
@@ -137,7 +142,8 @@ def test_drift_over_a_session_widens_regions(sheet, learned):
     assert float(warning.split("68 % by a factor of ")[1].split()[0]) > 1
 
 
-@pytest.mark.parametrize("timed", [True, pytest.param(False, marks=pytest.mark.rest)])
+@pytest.mark.rest
+@pytest.mark.parametrize("timed", [True, False])
 def test_a_re_check_tells_where_readings_have_gone(sheet, learned, timed):
     """Gains and offsets that differ by 40 % long after the session, and nine presses then; without times, a jump."""
     random = np.random.default_rng(5)
@@ -185,6 +191,7 @@ def test_a_frame_without_change_and_with_lost_readings_has_no_strength(learned):
         assert places.strength == 0
 
 
+@pytest.mark.rest
 def test_spikes_cost_little():
     """One reading of twenty, in presses and later frames: it is told by the others, and regions hold."""
     sheet, random = pressed_sheet(240, seed=7, noise=0.05), np.random.default_rng(10)
@@ -200,6 +207,7 @@ def test_spikes_cost_little():
     assert places.in_model.mean() > 0.9
 
 
+@pytest.mark.rest
 def test_a_place_beyond_the_presses_lies_outside(sheet):
     near = np.flatnonzero(np.linalg.norm(sheet.places_mm, axis=1) < 20)
     model = learn_place(sheet.changes[near], sheet.labels_mm[near], sheet.pairs, 16).model
@@ -237,6 +245,7 @@ def test_nothing_is_learned_from_nothing(sheet):
         learn_place(sheet.changes[[0] * 9], sheet.labels_mm[:9], sheet.pairs, 16)
 
 
+@pytest.mark.rest
 def test_many_presses_with_the_same_readings_are_learned_from(sheet):
     changes = np.where(np.arange(12)[:, None] < 11, sheet.changes[0], sheet.changes[:12])
     learned = learn_place(changes, sheet.labels_mm[:12], sheet.pairs, 16)
@@ -244,6 +253,7 @@ def test_many_presses_with_the_same_readings_are_learned_from(sheet):
     assert "readings hardly depend on the place" in learned.warnings[0]
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize(("name", "limit_mm"), [("no_pattern", 3.9), ("parallel_lines", 6.3)])
 def test_a_real_skin_from_39_presses(skins, name, limit_mm):
     """One split; the mean over fifty is held in the soak. Limits: the requirement and three standard errors."""
@@ -256,6 +266,7 @@ def test_a_real_skin_from_39_presses(skins, name, limit_mm):
     assert places.in_model.mean() > 0.9
 
 
+@pytest.mark.rest
 def test_an_electrode_whose_readings_are_noise_in_some_presses_does_not_make_such_frames_touches():
     """Noise of twenty median changes, which is no more than presses beside an electrode change a reading."""
     sheet, random = pressed_sheet(160, seed=1, noise=0.05), np.random.default_rng(1)

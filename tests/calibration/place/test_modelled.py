@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, pressed_sheet, some
+from tiers import rest_but
 
 from cbsr_qa.calibration.force.faults import FrameFaults
 from cbsr_qa.calibration.force.inverse import Flag
@@ -13,9 +14,11 @@ from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.presses.issue import learn_presses
 
 _SIMULATED = (
-    {"noise": 0.01},
-    {"noise": 0.1, "rectified": True},
-    {"noise": 0.1, "pairs": adjacent_pairs(), "mirrored": True, "reach": 0.8},
+    pytest.param({"noise": 0.01}, id="clean"),
+    pytest.param({"noise": 0.1, "rectified": True}, id="rectified"),
+    pytest.param(
+        {"noise": 0.1, "pairs": adjacent_pairs(), "mirrored": True, "reach": 0.8}, id="adjacent and mirrored"
+    ),
 )
 
 
@@ -26,8 +29,9 @@ def registered(pressed, rows):
     return modelled, learned
 
 
-@pytest.mark.parametrize("kind", _SIMULATED)
+@pytest.mark.parametrize("kind", rest_but({"adjacent and mirrored"}, _SIMULATED))
 def test_presses_of_a_sheet_as_modelled_are_in_its_model(kind):
+    """Another pattern, a mirror and noise at once stay in ``make test``."""
     pressed = pressed_sheet(209, seed=31, **kind)
     modelled, learned = registered(pressed, np.arange(9))
     places = modelled(pressed.changes[9:])
@@ -109,6 +113,7 @@ def test_a_model_that_misses_the_presses_does_not_take_over(inner):
     assert not np.array_equal(places.place_mm, taken.place_mm)
 
 
+@pytest.mark.rest
 def test_two_touches_and_missing_readings_are_not_in_the_model():
     pressed = pressed_sheet(109, seed=33, noise=0.05)
     modelled, _ = registered(pressed, np.arange(9))

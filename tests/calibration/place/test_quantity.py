@@ -33,7 +33,8 @@ def inside(truth, within):
     return float(((within[:, 0] <= truth) & (truth <= within[:, 1])).mean())
 
 
-@pytest.mark.parametrize(("count", "limit_N"), [(39, 0.2), pytest.param(150, 0.1, marks=pytest.mark.rest)])
+@pytest.mark.rest
+@pytest.mark.parametrize(("count", "limit_N"), [(39, 0.2), (150, 0.1)])
 def test_intervals_hold_what_they_state_over_a_fleet(count, limit_N):
     shares, errors, stated = [], [], []
     for seed in range(8):
@@ -64,6 +65,7 @@ def test_forces_beyond_those_pressed_are_flagged_and_their_intervals_reach_back(
     assert inside(truth, found.within_68) > 0.95
 
 
+@pytest.mark.rest
 def test_a_depth_may_be_counted_from_anywhere_and_upwards():
     """A robot's z in place of a depth: another origin and direction change nothing but the numbers."""
     sheet = pressed_sheet(200, seed=4, uneven=0.1)
@@ -133,6 +135,7 @@ def test_a_gain_that_drifts_is_followed_and_intervals_hold_later_forces():
     assert np.abs(now.values - truth).mean() < 0.15
 
 
+@pytest.mark.rest
 def test_presses_in_random_order_show_no_drift():
     sheet = pressed_sheet(100, seed=6, noise=0.1)
     learned, still = (

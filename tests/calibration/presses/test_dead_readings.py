@@ -37,14 +37,24 @@ def test_an_electrode_without_contact_is_found(pairs, common):
     assert found.findings[0].startswith("electrode 5 is dead")
 
 
-def test_spikes_do_not_make_a_sheet_a_foreign_one():
-    pressed, random = pressed_sheet(140, noise=0.05), np.random.default_rng(8)
+def with_spikes(pressed):
+    """One reading of twenty a hundred times as high, and which they are (n, m)."""
+    random = np.random.default_rng(8)
     spikes = random.random(pressed.changes.shape) < 0.05
     height = 100 * np.median(np.abs(pressed.changes)) * random.choice([-1.0, 1.0], spikes.shape)
-    spiky = replace(pressed, changes=np.where(spikes, height, pressed.changes))
-    found = find_dead_readings(pressed.pairs, spiky.changes, spiky.labels_mm)
+    return replace(pressed, changes=np.where(spikes, height, pressed.changes)), spikes
+
+
+def test_spikes_are_found_and_no_others():
+    spiky, spikes = with_spikes(pressed_sheet(140, noise=0.05))
+    found = find_dead_readings(spiky.pairs, spiky.changes, spiky.labels_mm)
     assert found.dead[spikes].mean() > 0.98
     assert found.dead[~spikes].mean() < 0.005
+
+
+@pytest.mark.rest
+def test_spikes_do_not_make_a_sheet_a_foreign_one():
+    spiky, _ = with_spikes(pressed_sheet(140, noise=0.05))
     learned = learn_presses(some(spiky, np.arange(40)).labelled())
     assert any("are spikes" in words for words in learned.findings)
     assert learned.registration.trusted
@@ -69,6 +79,7 @@ def test_presses_that_nothing_is_known_of_accuse_no_electrode():
     assert not find_dead_readings(pressed.pairs, noise, pressed.labels_mm).dead.any()
 
 
+@pytest.mark.rest
 def test_a_dead_electrode_costs_neither_pose_nor_place():
     pressed = pressed_sheet(140, noise=0.05)
     spoilt = without_contact(pressed, 5, common=False)
@@ -112,6 +123,7 @@ def test_clipped_readings_are_told_from_others(whole):
         assert estimate_clipped_share(sound - rest, rest if whole else None) == 0
 
 
+@pytest.mark.rest
 def test_clipped_readings_are_blamed_not_the_radius():
     pressed = pressed_sheet(12, seed=1, noise=0.05)
     most = np.quantile(np.abs(pressed.changes), 0.6)
@@ -137,7 +149,7 @@ def spoilt_presses(pressed, rows, random):
     return replace(pressed, changes=changes)
 
 
-@pytest.mark.parametrize("whole", [False, True])
+@pytest.mark.parametrize("whole", [False, pytest.param(True, marks=pytest.mark.rest)])
 def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(whole):
     pressed, random = pressed_sheet(100, seed=50, noise=0.05), np.random.default_rng(3)
     spoilt = spoilt_presses(pressed, [7, 21, 33], random)

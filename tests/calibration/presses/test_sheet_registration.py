@@ -5,6 +5,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, round_sensor, some
+from tiers import rest_but
 
 from cbsr_qa.calibration.presses.ascent import ascend
 from cbsr_qa.calibration.presses.electrode_order import find_electrode_order
@@ -24,7 +25,9 @@ def registered(pressed, *, stated=True, radius_mm=None):
 
 
 @pytest.mark.parametrize("mirrored", [False, True])
-@pytest.mark.parametrize(("pairs", "sign"), [(opposite_pairs(), 1), (adjacent_pairs(), -1)])
+@pytest.mark.parametrize(
+    ("pairs", "sign"), [pytest.param(opposite_pairs(), 1, marks=pytest.mark.rest), (adjacent_pairs(), -1)]
+)
 def test_the_pose_that_presses_were_labelled_with_is_found(mirrored, pairs, sign):
     pressed = pressed_sheet(60, pairs=pairs, mirrored=mirrored, rotation_deg=-140.0, scale=1.04)
     found = registered(replace(pressed, changes=sign * pressed.changes))
@@ -71,7 +74,7 @@ def test_a_rectifying_front_end_and_spikes_do_not_turn_the_sheet():
     assert found.registration.trusted
 
 
-@pytest.mark.parametrize("head_mm", [4.0, 13.0, 18.0])
+@pytest.mark.parametrize("head_mm", rest_but({13.0}, [4.0, 13.0, 18.0]))
 def test_nine_presses_on_a_grid_are_not_drawn_to_the_lattice_and_the_scale_has_an_honest_error(head_mm):
     sensor = load_sensor_type("disc-100mm").value
     model, places = load_model(sensor), np.array(NINE_LOCATIONS_MM)
@@ -122,7 +125,8 @@ def test_readings_that_have_nothing_to_do_with_the_places_are_not_trusted():
     assert "explains" in shuffled.registration.why
 
 
-@pytest.mark.parametrize("radius_stated", [True, pytest.param(False, marks=pytest.mark.rest)])
+@pytest.mark.rest
+@pytest.mark.parametrize("radius_stated", [True, False])
 def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, radius_stated):
     plain = skins("no_pattern")
     whole = registered(plain, stated=radius_stated)
@@ -143,6 +147,7 @@ def test_nine_presses_of_a_real_skin_are_registered_as_two_thousand_are(skins, r
     assert np.median(apart) < 5
 
 
+@pytest.mark.rest
 def test_a_patterned_skin_is_not_what_the_disc_describes(skins):
     lines = skins("parallel_lines")
     for count in (9, 200):
@@ -165,6 +170,7 @@ def test_two_exchanged_electrodes_are_named_and_others_are_not():
     assert not ordered(pressed_sheet(40, noise=0.1)).findings
 
 
+@pytest.mark.rest
 def test_measuring_electrodes_that_are_numbered_from_elsewhere_are_named():
     pressed = pressed_sheet(40, noise=0.1)
     shifted = pressed.pairs.copy()
@@ -174,6 +180,7 @@ def test_measuring_electrodes_that_are_numbered_from_elsewhere_are_named():
     np.testing.assert_array_equal(order.pairs, pressed.pairs)
 
 
+@pytest.mark.rest
 def test_a_pattern_that_leaves_out_what_it_drives_is_numbered_as_it_says(skins):
     """Other numberings explain the plain skin a little better, but would measure at driven electrodes."""
     skin = skins("no_pattern")

@@ -54,6 +54,7 @@ np.save(sys.argv[3], np.column_stack([forces.force_N, forces.stderr_N]))
 """
 
 
+@pytest.mark.rest
 def test_frames_become_the_same_force_with_numpy_scipy_and_h5py_alone(file, calibration, tmp_path):
     seen = frames(_PLACES, _FORCES)
     np.save(tmp_path / "frames.npy", seen)

@@ -16,6 +16,7 @@ def readings(impedance: np.ndarray) -> np.ndarray:
     return (impedance @ PATTERN.drive_currents()).T @ PATTERN.measure_matrix()
 
 
+@pytest.mark.rest
 def test_arcs_agree_with_published_reference_numbers(shared):
     cases = json.loads((shared / "oracle" / "analytic_cem_pem.json").read_text())["cases"]
     assert len(cases) == 6

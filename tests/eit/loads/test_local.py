@@ -2,6 +2,7 @@ import numpy as np
 import pytest
 from drawn import drawn
 from hypothesis import given, strategies as st
+from tiers import rest_but
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.geometry.footprints import RoundFootprint
@@ -197,10 +198,12 @@ def test_a_contact_impedance_that_is_none_is_refused_by_number(model, update, wr
         update.voltages(np.zeros(0, dtype=np.int64), np.zeros(0), contacts[:3])
 
 
-@pytest.mark.parametrize("before", [1e-8, 1e-6, 1e-4, 2.1e-3, 1e-2, 1.0, 1e4])
-@pytest.mark.parametrize("after", [1e-5, 1e-3, 0.5, 1e3, 1e6])
+@pytest.mark.parametrize("before", rest_but({1e-8, 2.1e-3, 1e4}, [1e-8, 1e-6, 1e-4, 2.1e-3, 1e-2, 1.0, 1e4]))
+@pytest.mark.parametrize("after", rest_but({1e-5, 1e6}, [1e-5, 1e-3, 0.5, 1e3, 1e6]))
 def test_any_contact_becomes_any_other(pin_sensor, model_of, before, after):
     """Also those so good that a change of theirs drowns in rounding: they are factorised again.
+
+    The least, the largest and the one that a change just drowns in stay in ``make test``.
 
     To 1e-9, or what factorising itself loses on contacts that good.
     """

@@ -4,6 +4,7 @@ from functools import lru_cache
 
 import numpy as np
 import pytest
+from tiers import rest_but
 
 from benchmarks.reference_solutions import fitted_mesh
 from cbsr_qa.config.loader import load_sensor_type
@@ -42,7 +43,7 @@ def one(place, radius, contrast) -> RoundLoads:
     return RoundLoads.from_contrast(np.array([place]), np.array([radius]), np.array([contrast]))
 
 
-@pytest.mark.parametrize(("order", "allowed"), [(1, 3e-3), (2, 1e-5)])
+@pytest.mark.parametrize(("order", "allowed"), rest_but({2}, [(1, 3e-3), (2, 1e-5)]))
 def test_a_disc_with_pins_has_its_exact_fields(pin_sensor, order, allowed):
     sensor = pin_sensor()
     exact = PinnedDisc(50.0, sensor.electrodes, NOMINAL_CONTACT_MM)
@@ -95,7 +96,7 @@ def test_fields_alone_are_those_of_the_expansion(arc_sensor):
         assert np.array_equal(sheet.fields(places, reach, 5), sheet.expansion(places, reach, 5).fields)
 
 
-@pytest.mark.parametrize("place", [(0.0, 0.0), (-40.0, -18.0)])
+@pytest.mark.parametrize("place", [pytest.param((0.0, 0.0), marks=pytest.mark.rest), (-40.0, -18.0)])
 def test_a_patch_with_corners_under_a_load_agrees_with_the_load_in_the_mesh(place):
     expected = meshed_change(PATCH, 4.5, place, 6.5, 0.5)
     found = load_model(PATCH).readings(one(place, 6.5, 0.5)).change[0]
@@ -103,6 +104,7 @@ def test_a_patch_with_corners_under_a_load_agrees_with_the_load_in_the_mesh(plac
     assert np.linalg.norm((found - expected)[used]) < 1e-3 * np.linalg.norm(expected[used])
 
 
+@pytest.mark.rest
 def test_a_disc_with_strips_under_a_load_agrees_with_the_load_in_the_mesh(arc_sensor):
     sensor = arc_sensor(radius_mm=50.0)
     expected = meshed_change(sensor, 5.0, (20.0, 12.0), 6.5, -0.4)
@@ -111,6 +113,7 @@ def test_a_disc_with_strips_under_a_load_agrees_with_the_load_in_the_mesh(arc_se
     assert np.linalg.norm((found - expected)[used]) < 2e-3 * np.linalg.norm(expected[used])
 
 
+@pytest.mark.rest
 def test_loads_on_a_patch_are_found():
     model = load_model(PATCH)
     used = PATCH.pattern.usable()

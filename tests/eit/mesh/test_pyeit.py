@@ -159,6 +159,7 @@ def test_neighbours_on_the_boundary_cannot_be_made_wide():
         sheet.widen_electrodes()
 
 
+@pytest.mark.rest
 def test_pyeit_itself_solves_the_same_on_its_own_mesh():
     pytest.importorskip("pyeit", reason="pyEIT is an extra")
     from benchmarks.peers import peer

@@ -58,7 +58,8 @@ def test_what_is_alike_all_over_the_sheet_leaves_what_is_documented():
     assert {length: what_is_left(length) for length in DOCUMENTED} == pytest.approx(DOCUMENTED, abs=1.5e-3)
 
 
-@pytest.mark.parametrize("correlation_mm", [10.0, pytest.param(60.0, marks=pytest.mark.rest)])
+@pytest.mark.rest
+@pytest.mark.parametrize("correlation_mm", [10.0, 60.0])
 def test_what_is_alike_all_over_the_sheet_is_divided_out(correlation_mm):
     """250 sheets of a short and of a long correlation."""
     places = places_on(OUTLINE)[::12]

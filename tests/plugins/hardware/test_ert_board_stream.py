@@ -9,6 +9,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from simulated_setting import HEAD, MOTION, held, larger_sensor, material, scene, sensor_type, world
+from tiers import rest_but
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec
@@ -82,10 +83,10 @@ def opened():
     "options",
     [
         {},
-        ASCII,
+        pytest.param(ASCII, marks=pytest.mark.rest),
         ASCII | {"signed": True, "zero_counts": 0},
-        {"order": "drive"},
-        {"order": "measure", "first_reading": 1},
+        pytest.param({"order": "drive"}, marks=pytest.mark.rest),
+        pytest.param({"order": "measure", "first_reading": 1}, marks=pytest.mark.rest),
         ASCII | {"order": "drive", "first_reading": 17},
     ],
     ids=lambda options: ", ".join(f"{key}={value}" for key, value in options.items()) or "binary",
@@ -168,7 +169,7 @@ def test_each_reading_has_its_time_in_the_order_of_the_scan(opened):
     assert np.ptp(own_s) == pytest.approx(PERIOD_S * 255 / 256)
 
 
-@pytest.mark.parametrize("order", ["measure", "drive"])
+@pytest.mark.parametrize("order", rest_but({"drive"}, ["measure", "drive"]))
 def test_the_memory_of_the_readings_can_be_taken_out(opened, order):
     share = 0.12
     plain, remembered, corrected = (
@@ -269,6 +270,7 @@ def test_a_port_without_a_board_is_refused():
         open_board(told(TABLE | {"address": "/dev/none"}, RealClock()))
 
 
+@pytest.mark.rest
 @pytest.mark.parametrize("options", [{}, ASCII | {"order": "drive"}], ids=["binary", "ascii"])
 def test_a_board_of_32_pairs_sends_what_the_sensor_type_has(opened, options):
     bench = opened(kind=larger_sensor(32), **options)

@@ -56,6 +56,7 @@ def test_the_board_s_counter_comes_late_without_a_line_end_and_glued_to_a_log_li
     assert line.read_line().startswith(b"0\x1b[0;32mI (")
 
 
+@pytest.mark.rest
 def test_the_board_logs_between_its_answers(bench, line):
     time = RealClock()
     for steps in range(1, 101):

@@ -37,13 +37,18 @@ def result():
     return replace(plain, observation=observation, measurements=measured)
 
 
+@pytest.fixture(scope="module")
+def section(result):
+    return DataSheet().render(result)
+
+
 def rows(section):
     table, *_ = blocks(section, Table)
     return {row[0].text: [cell.text for cell in row[1:]] for row in table.rows}
 
 
-def test_the_table_holds_what_was_measured_with_unit_and_uncertainty(result):
-    found = rows(DataSheet().render(result))
+def test_the_table_holds_what_was_measured_with_unit_and_uncertainty(result, section):
+    found = rows(section)
     whole = {(m.name, m.qualifier): m for m in result.measurements if not m.location}
     for title, name in (("Repeatability", "repeatability"), ("Nonlinearity", "nonlinearity")):
         value, how = found[title]
@@ -56,8 +61,8 @@ def test_the_table_holds_what_was_measured_with_unit_and_uncertainty(result):
     assert "Creep" not in found  # the recipe does not measure it
 
 
-def test_hysteresis_is_said_to_be_missing_with_the_reason(result):
-    value, why = rows(DataSheet().render(result))["Hysteresis"]
+def test_hysteresis_is_said_to_be_missing_with_the_reason(result, section):
+    value, why = rows(section)["Hysteresis"]
     assert value == "not determined"
     assert "from below and from above" in why
     asked = (*result.measurements, *Hysteresis().measure_run(result.observation))
@@ -100,14 +105,14 @@ def test_what_could_not_be_determined_says_why(result):
     assert found["Creep"] == ["not determined", "no force was recorded under a hold"]
 
 
-def test_repeatability_by_strain_is_one_row(result):
-    _, table = blocks(DataSheet().render(result), Table)
+def test_repeatability_by_strain_is_one_row(section):
+    _, table = blocks(section, Table)
     assert table.columns == ("Strain", "10 %", "20 %", "30 %")
     assert len(table.rows) == 1
 
 
-def test_the_figures_show_every_place(result):
-    characteristic, maps = blocks(DataSheet().render(result), Figure)
+def test_the_figures_show_every_place(result, section):
+    characteristic, maps = blocks(section, Figure)
     for figure in (characteristic, maps):
         check_svg(figure.svg)
     measured = next(m for m in result.measurements if m.name == "nonlinearity" and not m.qualifier and not m.location)

@@ -147,6 +147,7 @@ def test_random_loads_stay_in_their_ranges(seed, low, wide):
         assert round(100 * load.strain, 2) == pytest.approx(100 * load.strain, abs=1e-12)
 
 
+@pytest.mark.rest
 def test_random_loads_are_uniform_in_radius_angle_and_strain():
     loads = loads_of(RandomLoadsSequence(count=10_000), seed=3)
     x, y, strain = np.array([(load.x_mm, load.y_mm, load.strain) for load in loads]).T

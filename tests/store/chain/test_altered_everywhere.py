@@ -4,7 +4,7 @@ import shutil
 
 import pytest
 from altered_runs import another_value, change, fill, linked_again
-from tiers import REST, rest_but
+from tiers import REST, rest_but_named
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
@@ -167,7 +167,7 @@ ROWS = {
 
 @pytest.mark.parametrize(
     ("table", "statement"),
-    rest_but(ROWS, "an override without a link", "no latest analysis", "no link of an analysis", "no chain"),
+    rest_but_named(ROWS, "an override without a link", "no latest analysis", "no link of an analysis", "no chain"),
 )
 def test_a_run_with_a_row_more_or_less_is_believed_by_nobody(copied, table, statement):
     path, run, _ = copied

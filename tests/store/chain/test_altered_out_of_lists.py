@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from altered_runs import change
 from stored_lots import judged, measured, store_run
-from tiers import REST, rest_but
+from tiers import REST, rest_but_named
 
 from cbsr_qa.app.shift.lists import list_request, list_runs, list_sensors
 from cbsr_qa.cli.main import run_guarded
@@ -74,7 +74,7 @@ MOVES = {
 
 @pytest.mark.parametrize(
     ("column", "value", "options"),
-    rest_but({name: (name, *which) for name, which in MOVES.items()}, "station", "run, by a day that is none"),
+    rest_but_named({name: (name, *which) for name, which in MOVES.items()}, "station", "run, by a day that is none"),
 )
 def test_a_failed_run_that_was_moved_out_of_a_selection_is_listed_as_altered(
     moved, capsys, tmp_path, column, value, options

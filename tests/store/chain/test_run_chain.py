@@ -12,7 +12,7 @@ from calibration_samples import sample_force
 from sqlalchemy import Boolean, Column, LargeBinary, MetaData, Table, create_engine
 from stored_lots import judged, measured, store_run
 from stored_runs import calibration, frames, identity, journalled, short_run
-from tiers import REST, rest_but
+from tiers import REST, rest_but_named
 
 from cbsr_qa.calibration.file.hdf5 import stamp
 from cbsr_qa.domain.errors import ConfigError, StoreError
@@ -198,7 +198,7 @@ QUICK = (
 )
 
 
-@pytest.mark.parametrize(("statement", "said"), rest_but(EDITS, *QUICK))
+@pytest.mark.parametrize(("statement", "said"), rest_but_named(EDITS, *QUICK))
 def test_an_edit_is_refused_by_name(copied, statement, said):
     path, run = copied
     edit(path, statement, run)
@@ -305,7 +305,9 @@ READERS = {
 }
 
 
-@pytest.mark.parametrize(("statement", "read"), rest_but(READERS, "load_run", "calibration", "override", "fleet"))
+@pytest.mark.parametrize(
+    ("statement", "read"), rest_but_named(READERS, "load_run", "calibration", "override", "fleet")
+)
 def test_every_reader_refuses_what_it_uses(copied, statement, read):
     path, run = copied
     with open_store(f"sqlite:///{path}") as store:

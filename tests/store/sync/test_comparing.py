@@ -8,7 +8,7 @@ from datetime import date
 import pytest
 from stored_runs import SETTING, identity, journalled, short_run
 from synced import assert_all_there, content, link_again, on_both, overridden, remove_run, run_of, sent
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.domain.run.run import RunStarted
 from cbsr_qa.store.sync.centre import refusals
@@ -46,7 +46,7 @@ def assert_quarantined(station, centre, done, run, why):
     assert [refused.run for refused in refusals(centre.engine)] == [run]
 
 
-@pytest.mark.parametrize(("statement", "why"), rest_but(ALTERED | BYTES, "changed", "a link", "frames"))
+@pytest.mark.parametrize(("statement", "why"), rest_but_named(ALTERED | BYTES, "changed", "a link", "frames"))
 def test_what_was_altered_at_the_station_after_it_was_sent_stops_the_run(full, centre, statement, why):
     sent(full, centre)
     before = content(centre.engine)

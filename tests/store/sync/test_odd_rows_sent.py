@@ -4,7 +4,7 @@ from datetime import date
 
 import pytest
 from synced import on_both, run_of, sent
-from tiers import rest_but
+from tiers import rest_but_named
 
 from cbsr_qa.app.keeping import check_database
 from cbsr_qa.app.sync import sync_status, synchronise
@@ -37,7 +37,7 @@ def odd_moment(place):
     return "'infinity'" if place.url.startswith("postgresql") else "'x'"
 
 
-@pytest.mark.parametrize(("row", "said"), rest_but(OUTBOX, "a kind of bytes", "a version", "a moment"))
+@pytest.mark.parametrize(("row", "said"), rest_but_named(OUTBOX, "a kind of bytes", "a version", "a moment"))
 def test_an_odd_row_of_the_outbox_is_passed_over_and_named(station, centre, row, said):
     run = run_of(station.store)
     station.change(f"INSERT INTO outbox VALUES ({row})")

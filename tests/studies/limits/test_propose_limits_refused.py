@@ -47,6 +47,7 @@ def test_terms_out_of_range_are_refused(lot_database, refused, option, value, sa
     refused(lot_database, "--batch", "golden", option, value, said=[said])
 
 
+@pytest.mark.rest
 def test_runs_that_are_not_good_are_refused_unless_asked_for(database, refused, document):
     failed = ("S-6", judged(measured(np.random.default_rng(6), np.array([0, 12.0, 0]))), {})
     aborted = ("S-7", (), {"end": EndReason.ABORTED})
@@ -59,6 +60,7 @@ def test_runs_that_are_not_good_are_refused_unless_asked_for(database, refused, 
     assert without["lot"]["not_good"] == []
 
 
+@pytest.mark.rest
 def test_mixed_software_and_recipes_are_refused_by_name(database, refused, document):
     newer = ("S-6", sensor(6), {"software": [("cbsr-qa", "0.2.0"), ("numpy", "2.0")]})
     path = database(*lot(), newer)

@@ -137,6 +137,7 @@ def test_inputs_of_the_simulation_are_told_from_outcomes(exact):
     ]
 
 
+@pytest.mark.rest
 def test_the_page_stands_by_itself_and_says_that_ours_is_simulated(exact):
     outcome = reproduction_outcome(exact)
     page = render_sections(outcome.page, outcome.sections)

@@ -1,5 +1,6 @@
 import re
 from dataclasses import dataclass, replace
+from functools import cache
 
 import numpy as np
 import pytest
@@ -60,14 +61,25 @@ def simulated(pin_sensor) -> Sensor:
     return Sensor(pin_sensor(), model, _UNIT * (clean + noise))
 
 
+@pytest.fixture(scope="module")
+def imaged(simulated):
+    """The problem and the sheet that is found, from the readings used or from every one; each is made once."""
+
+    @cache
+    def make(every):
+        problem = simulated.problem(_EVERY if every else None)
+        return problem, AbsoluteGaussNewton().prepare(problem)
+
+    return make
+
+
 def nothing(problem: ImagingProblem) -> np.ndarray:
     return np.zeros((1, len(problem.reference)))
 
 
-@pytest.mark.parametrize(("used", "allowed"), [(None, 0.03), (_EVERY, 0.04)], ids=["208", "256"])
-def test_an_uneven_sheet_is_found(simulated, used, allowed):
-    problem = simulated.problem(used)
-    prepared = AbsoluteGaussNewton().prepare(problem)
+@pytest.mark.parametrize(("every", "allowed"), [(False, 0.03), (True, 0.04)], ids=["208", "256"])
+def test_an_uneven_sheet_is_found(simulated, imaged, every, allowed):
+    problem, prepared = imaged(every)
     true = uneven(problem.mesh.centroids_mm) + np.log(simulated.scale(problem) / _UNIT)
     found = np.log(prepared.absolute(nothing(problem))[0])
     areas = problem.mesh.areas_mm2 / problem.mesh.areas_mm2.sum()
@@ -80,9 +92,8 @@ def test_an_uneven_sheet_is_found(simulated, used, allowed):
     assert 0.1 < prepared.reference.residual < 1.5
 
 
-def test_contacts_are_found_from_every_reading_with_their_error(simulated):
-    problem = simulated.problem(_EVERY)
-    prepared = AbsoluteGaussNewton().prepare(problem)
+def test_contacts_are_found_from_every_reading_with_their_error(simulated, imaged):
+    problem, prepared = imaged(True)
     true = simulated.model.contact_impedance * _UNIT / simulated.scale(problem)
     wrong = np.log(prepared.contact_impedance() / true)
     error = np.sqrt(np.mean(wrong**2))
@@ -93,8 +104,8 @@ def test_contacts_are_found_from_every_reading_with_their_error(simulated):
     assert np.corrcoef(np.log(prepared.contact_impedance()), np.log(true))[0, 1] > 0.99
 
 
-def test_contacts_no_reading_tells_are_refused(simulated, problem):
-    prepared = AbsoluteGaussNewton().prepare(simulated.problem())
+def test_contacts_no_reading_tells_are_refused(imaged, problem):
+    _, prepared = imaged(False)
     assert prepared.reference.log_contact_error.min() > 0.9
     with pytest.raises(NumericsError, match="contact impedance of electrodes 0, 1, 2"):
         prepared.contact_impedance()
@@ -140,6 +151,7 @@ def test_small_changes_are_imaged_by_the_first_step(problem):
     assert_expected_order(errors, sizes, 1.0, 0.15)
 
 
+@pytest.mark.rest
 def test_strong_loads_keep_their_amplitude_where_a_step_saturates(simulated):
     problem = simulated.problem()
     covered = np.hypot(*(simulated.model.mesh.centroids_mm - [10.0, 5.0]).T) < 8
@@ -170,12 +182,21 @@ def test_every_frame_stands_for_itself(problem):
 @pytest.mark.parametrize(
     ("spoil", "reason"),
     [
-        (lambda frame: np.roll(frame, 3, axis=1), "uncorrelated|explains the reference|did not converge"),
-        (lambda frame: -frame, "opposite polarity"),
-        (lambda frame: 0 * frame, "uncorrelated"),
-        (lambda frame: np.random.default_rng(1).standard_normal(frame.shape), "uncorrelated|explains|converge"),
+        pytest.param(
+            lambda frame: np.roll(frame, 3, axis=1),
+            "uncorrelated|explains the reference|did not converge",
+            id="order",
+            marks=pytest.mark.rest,
+        ),
+        pytest.param(lambda frame: -frame, "opposite polarity", id="polarity"),
+        pytest.param(lambda frame: 0 * frame, "uncorrelated", id="zero"),
+        pytest.param(
+            lambda frame: np.random.default_rng(1).standard_normal(frame.shape),
+            "uncorrelated|explains|converge",
+            id="noise",
+            marks=pytest.mark.rest,
+        ),
     ],
-    ids=["order", "polarity", "zero", "noise"],
 )
 def test_readings_of_no_such_sheet_are_refused(problem, simulated, spoil, reason):
     measured = spoil(simulated.frame)[problem.used]

@@ -187,24 +187,32 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
     TotalVariation(hyperparameter=prepared.choice.value).prepare(problem).images(20 * other[None])  # nobody said
 
 
+@pytest.fixture(scope="module")
+def image(problem, noisy) -> np.ndarray:
+    """The image of a parameter that is given."""
+    return TotalVariation(hyperparameter=_ALPHA).prepare(problem).images(noisy[None])
+
+
 @pytest.mark.parametrize(
     ("sample", "reason"),
     [
         (np.zeros((3, 208)), "the same as their reference"),
-        (np.full((3, 208), 1e-300), "at most 1e-300: the same as"),
-        (np.full((3, 208), 1e300), r"a change to choose λ from is 1e\+300 and readings are 1?\d"),
+        pytest.param(np.full((3, 208), 1e-300), "at most 1e-300: the same as", marks=pytest.mark.rest),
+        pytest.param(
+            np.full((3, 208), 1e300),
+            r"a change to choose λ from is 1e\+300 and readings are 1?\d",
+            marks=pytest.mark.rest,
+        ),
         (np.ones((3, 208)), "identical to the last digit"),
     ],
     ids=["zero", "tiny", "huge", "constant"],
 )
-def test_a_sample_that_says_nothing_is_refused_as_such(problem, noisy, sample, reason):
+def test_a_sample_that_says_nothing_is_refused_as_such(problem, noisy, image, sample, reason):
     with pytest.raises(NumericsError, match=reason) as refused:
         TotalVariation().prepare(replace(problem, sample=sample))
     assert refused.value.remedy
     given = TotalVariation(hyperparameter=_ALPHA).prepare(replace(problem, sample=sample))  # does not look at it
-    assert np.array_equal(
-        given.images(noisy[None]), TotalVariation(hyperparameter=_ALPHA).prepare(problem).images(noisy[None])
-    )
+    assert np.array_equal(given.images(noisy[None]), image)
 
 
 @pytest.mark.parametrize(

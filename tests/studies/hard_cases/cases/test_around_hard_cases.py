@@ -4,6 +4,7 @@ from contextlib import suppress
 from dataclasses import replace
 
 import numpy as np
+import pytest
 from drawn import drawn
 from hypothesis import event, example, given, strategies as st
 from scipy import linalg
@@ -36,6 +37,7 @@ def check(answer: Answer) -> None:
     assert answer.error <= answer.bound, answer
 
 
+@pytest.mark.rest
 @given(
     kind=st.sampled_from([inclusion, islands]),
     contrast=st.floats(-8, 8),
@@ -53,6 +55,7 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
         check(against_fifty_digits(made))
 
 
+@pytest.mark.rest
 @given(contrast=st.floats(-8, 0), ratio=st.floats(-8.9, 1), of_contacts=st.booleans())
 @example(contrast=-2.0, ratio=0.5, of_contacts=False)  # the furthest apart that is not refined
 @drawn(8)
@@ -61,6 +64,7 @@ def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, rati
         check(_sensitivities(islands(10**contrast), 10**ratio, of_contacts))
 
 
+@pytest.mark.rest
 @given(seed=st.integers(0, 2**32 - 1), decades=st.floats(0, 8))
 @example(seed=55, decades=8.0)  # 2e-13, the worst of some hundred
 @_FEW
@@ -69,6 +73,7 @@ def test_any_scatter_of_conductances_is_right(seed, decades):
     check(answer if decades <= 5 else replace(answer, bound=max(answer.bound, _SCATTERED)))
 
 
+@pytest.mark.rest
 @given(base=st.floats(-4, 4), log_factor=st.floats(-4, 4))
 @_FEW
 def test_any_load_on_any_sheet_is_right_by_local_update(base, log_factor):
