@@ -16,7 +16,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.fleet import FleetTable, RunLine, RunSelection
-from cbsr_qa.stats.crossings import IntArray
+from cbsr_qa.stats.crossings import Crossing, IntArray
 from cbsr_qa.stats.difference import benjamini_hochberg, holm
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.compare.cautions import cautions
@@ -24,14 +24,13 @@ from cbsr_qa.studies.compare.describe import Distribution, Group, distribution, 
 from cbsr_qa.studies.compare.differences import (
     Difference,
     Estimated,
-    Fitted,
     StationDifference,
     compare_places,
     difference,
-    fit_model,
     stations_above,
 )
 from cbsr_qa.studies.compare.groups import Design, Grouping, choose_reference, design_of, group_runs
+from cbsr_qa.studies.compare.models import Fitted, fit_model, include_sessions
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, values_of
 from cbsr_qa.studies.selection import check_names, missing_metric_error
@@ -185,7 +184,11 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     means = np.array([values.mean for values in all_values]).reshape(-1, len(table.runs))
     grouping, reference_notes = choose_reference(grouping, design, np.any(~np.isnan(means), axis=0), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    unadjusted = [_compare_metric(values, table, grouping, deciding, design) for values in chosen_values]
+    models, station_models = _fit_models(chosen_values, design)
+    unadjusted = [
+        _compare_metric(values, model, station_model, table, grouping, deciding, design)
+        for values, model, station_model in zip(chosen_values, models, station_models, strict=True)
+    ]
     metrics = _adjust_p_values(unadjusted, terms)
     members = [run for run, is_used in zip(table.runs, grouping.used, strict=True) if is_used]
     differences = tuple(chain.from_iterable(metric.differences or (_explain_missing(metric),) for metric in metrics))
@@ -225,15 +228,33 @@ def _choose_metrics(every: Sequence[MetricValues], terms: Terms) -> list[MetricV
     return [values for values in every if not terms.names or values.key.name in terms.names]
 
 
+def _fit_models(metrics: Sequence[MetricValues], design: Design) -> tuple[list[Fitted], list[Fitted]]:
+    """Fit the models of groups and of stations; sessions disturb metrics together, and are looked for in all."""
+
+    def fit_all(made: Crossing, *, of_stations: bool) -> list[Fitted]:
+        return include_sessions(
+            [
+                fit_model(made, metric.mean[design.rows], metric.key.label, of_stations=of_stations)
+                for metric in metrics
+            ]
+        )
+
+    models = fit_all(design.crossing, of_stations=design.of_stations)
+    if design.of_the_stations is design.crossing or not design.stations:
+        return models, models
+    return models, fit_all(design.of_the_stations, of_stations=True)
+
+
 def _compare_metric(
-    metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
+    metric: MetricValues,
+    model: Fitted,
+    station_model: Fitted,
+    table: FleetTable,
+    grouping: Grouping,
+    deciding: Mapping[str, IntArray],
+    design: Design,
 ) -> MetricComparison:
     """Compare groups and stations in one metric by the deciding runs; p values are not adjusted yet."""
-    label = metric.key.label
-    model = fit_model(design.crossing, metric.mean[design.rows], label, of_stations=design.of_stations)
-    station_model = model
-    if design.of_the_stations is not design.crossing and design.stations:
-        station_model = fit_model(design.of_the_stations, metric.mean[design.rows], label, of_stations=True)
     is_station_metric = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     indices_by_group = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
     notes = _notes(model, metric, table, design, of_station=is_station_metric)

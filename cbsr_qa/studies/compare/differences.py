@@ -10,13 +10,13 @@ import numpy as np
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.fleet import FleetTable
-from cbsr_qa.stats.crossings import Crossing, IntArray
+from cbsr_qa.stats.crossings import IntArray
 from cbsr_qa.stats.difference import Contrast, hedges, holm, welch
-from cbsr_qa.stats.mixed_model.model import Fit, fit
 from cbsr_qa.stats.power_analysis import sensors_needed, sensors_to_show_alike
 from cbsr_qa.stats.robust import brunner_munzel, shift
 from cbsr_qa.stats.samples import Interval
 from cbsr_qa.studies.compare.groups import Design
+from cbsr_qa.studies.compare.models import Fitted, fit_model, include_sessions
 from cbsr_qa.studies.compare.terms import Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
@@ -126,45 +126,6 @@ class Difference(Estimated):
     naive: Naive | None = None
     robust: Robust | None = None
     places: tuple[PlaceDifference, ...] = ()
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """The model of one metric, or the reason for none; ``of_stations``: its stations are the compared groups."""
-
-    fit: Fit | None
-    why: str
-    of_stations: bool
-
-    def difference(self, group: str, reference: str) -> Contrast:
-        """Return group − reference; NumericsError if the design cannot estimate it."""
-        if self.fit is None:
-            raise NumericsError(self.why)
-        estimate = self.fit.station_difference if self.of_stations else self.fit.group_difference
-        return estimate(group, reference)
-
-    def station_effect(self, station: str) -> float:
-        """Return the difference of a station from the first of its connected part."""
-        assert self.fit is not None
-        design = self.fit.design
-        if station not in design.stations:
-            return 0.0
-        return float(self.fit.effects[len(design.groups) + design.index("station", station)])
-
-
-def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
-    """Fit the model to the runs (N,) that have a value; NaN where missing."""
-    has_value = ~np.isnan(values)
-    if not has_value.any():
-        return Fitted(None, "nothing was measured", of_stations)
-    try:
-        return Fitted(
-            fit(design if has_value.all() else design.select_runs(has_value), values[has_value], what),
-            "",
-            of_stations,
-        )
-    except NumericsError as error:
-        return Fitted(None, _one_line(error), of_stations)
 
 
 _Estimate = TypeVar("_Estimate", Difference, StationDifference)
@@ -278,12 +239,13 @@ def compare_places(
     is_wanted = metric.limited or metric.key.name in design.terms.names
     if not pairs or not is_wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
         return {}
-    models = {
-        location: fit_model(
+    by_location = [
+        fit_model(
             design.crossing, values[design.rows], f"{metric.key.label} at {location}", of_stations=design.of_stations
         )
         for location, values in metric.at.items()
-    }
+    ]
+    models = dict(zip(metric.at, include_sessions(by_location), strict=True))
     return {pair[0]: _places_of(models, pair, table, design.terms) for pair in pairs}
 
 
