@@ -46,6 +46,18 @@ class ContrastFreedom(Protocol):
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """Variance between runs of a sensor (0 where no sensor has two), and between sensors of each group (g,)."""
+
+    run_variance: float
+    sensor_variances: Array
+
+    def scale(self, factor: float) -> "Scatter":
+        """Return the variances of values multiplied by a factor."""
+        return Scatter(factor**2 * self.run_variance, factor**2 * self.sensor_variances)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class Fit:
     """A fitted model, in the unit of its values.
 
@@ -62,7 +74,7 @@ class Fit:
     freedom : degrees of freedom of σ where the model is fixed, of the sensors' variance where it is mixed.
     small : basis of the degrees of freedom; None where they are ``freedom``, whatever the contrast.
     session_deviation : deviation of a group at a station from the sum of both effects; None where it is not fitted.
-    scatter : (groups,) deviations of the groups' sensors relative to σ; None where they are taken as alike.
+    scatter : variances where groups scatter differently; None where they are taken as alike.
     """
 
     model: Model
@@ -77,7 +89,7 @@ class Fit:
     covariance: Array
     freedom: float
     session_deviation: float | None = None
-    scatter: Array | None = None
+    scatter: Scatter | None = None
 
     def group_difference(self, first: str, second: str) -> Contrast:
         """Return first − second, adjusted for stations.

@@ -1,32 +1,32 @@
-"""Groups whose sensors scatter differently: V_g = s_g²σ²(I + θ11ᵀ) for the sensors of group g.
+"""Groups whose sensors scatter differently: V = σ²I + τ_g²11ᵀ for the runs of a sensor of group g.
 
 **Test.** Brown and Forsythe (1974): an analysis of variance of the distances of sensors' mean residuals from their
 group's median, which neither a skew distribution nor single outliers disturb much.
 
-**If it is shown**, runs of a group are weighted by 1/s_g, with s_g² the mean square of its sensors' residuals over
-the share of the degrees of freedom that the effects leave. The variance of a contrast is then a sum v = Σ v_g over
-groups, with Welch and Satterthwaite's degrees of freedom, v² / Σ v_g²/f_g.
+**If it is shown**, σ² is that of the runs of one sensor, and σ²/n + τ_g² of a group is the mean square of its
+sensors' mean residuals over the share of the degrees of freedom that the effects leave. The variance of a contrast
+is a sum over groups, and over the part within sensors, with Welch and Satterthwaite's degrees of freedom v²/Σ
+v_g²/f_g. Where no sensor has two runs, σ² is part of τ_g².
 """
 
 from dataclasses import dataclass, replace
-from math import sqrt
 
 import numpy as np
-from scipy import sparse, stats
+from scipy import stats
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.crossings import IntArray
-from cbsr_qa.stats.mixed_model.model import Fit, Model
-from cbsr_qa.stats.mixed_model.reml import random_effect_sums, small_sample, variance_ratio
+from cbsr_qa.stats.crossings import Crossing, IntArray, SparseArray
+from cbsr_qa.stats.mixed_model.model import Fit, Model, Scatter
+from cbsr_qa.stats.mixed_model.reml import random_effect_sums
 
 #: Level of the test.
 LEVEL = 0.01
 #: Fewest sensors of a group that tell how its sensors scatter.
 _FEWEST_SENSORS = 3
-#: Rounds of weights and effects.
+#: Rounds of variances and effects.
 _ROUNDS = 3
-#: Least deviation of a group relative to the others: sensors that read the same would weigh without bound.
-_LEAST_DEVIATION = 1e-3
+#: Least variance of a group relative to their mean: sensors that read the same would weigh without bound.
+_LEAST_VARIANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,8 +35,8 @@ class GroupVariances:
 
     Parameters
     ----------
-    shares : (g, p, p) covariance of the effects over σ², by the group whose scatter it comes from.
-    freedoms : (g,) degrees of freedom of the groups' variances.
+    shares : (g + 1, p, p) covariance of the effects by the group whose scatter it comes from; within sensors last.
+    freedoms : (g + 1,) degrees of freedom of these variances.
     """
 
     shares: Array
@@ -49,7 +49,7 @@ class GroupVariances:
 
 
 def fit_scatter(alike: Fit, values: Array) -> Fit:
-    """Return the fit with a deviation of each group; the same fit where the test does not show that they differ.
+    """Return the fit with a variance of sensors for each group; the same fit if the test does not show a difference.
 
     Parameters
     ----------
@@ -58,84 +58,93 @@ def fit_scatter(alike: Fit, values: Array) -> Fit:
     """
     if scatter_p_value(alike, values) >= LEVEL:
         return alike
-    weighted = alike
+    residuals = values - alike.design.columns() @ alike.effects[alike.design.independent_columns()]
+    scale = float(np.abs(residuals).max())
+    changes = np.zeros(int(alike.design.independent_columns().sum()))
     for _ in range(_ROUNDS):
-        weighted = _fit_weighted(alike, values, _deviations(weighted, values))
-    return weighted
+        scatter = _variances(alike, residuals / scale - alike.design.columns() @ changes)
+        shares = scatter_products(alike.design, alike.design.columns(), residuals / scale, scatter)
+        products = shares.sum(axis=0)
+        covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64)
+        changes = covariance @ products[:-1, -1]
+    effects = alike.effects.copy()
+    effects[alike.design.independent_columns()] += scale * changes
+    return replace(
+        alike,
+        effects=effects,
+        covariance=scale**2 * covariance,
+        small=GroupVariances(covariance @ shares[:, :-1, :-1] @ covariance, _freedoms(alike.design)),
+        scatter=scatter.scale(scale),
+    )
 
 
 def scatter_p_value(alike: Fit, values: Array) -> float:
     """Return Brown and Forsythe's p value of equal scatter of sensors; 1 where fewer than two groups tell."""
-    means, group = _sensor_residuals(alike, values)
-    distances = [np.abs(of_group - np.median(of_group)) for of_group in _by_group(means, group, alike)]
-    telling = [distance for distance in distances if len(distance) >= _FEWEST_SENSORS]
-    if len(telling) < 2 or all(np.ptp(distance) == 0 for distance in telling):
+    residuals = values - alike.design.columns() @ alike.effects[alike.design.independent_columns()]
+    means, _, group = _sensor_means(alike.design, residuals)
+    distances = [
+        np.abs(means[group == index] - np.median(means[group == index]))
+        for index in range(len(alike.design.groups))
+        if np.sum(group == index) >= _FEWEST_SENSORS
+    ]
+    if len(distances) < 2 or all(np.ptp(distance) == 0 for distance in distances):
         return 1.0
-    return float(stats.f_oneway(*telling).pvalue)
+    return float(stats.f_oneway(*distances).pvalue)
 
 
-def _sensor_residuals(fitted: Fit, values: Array) -> tuple[Array, IntArray]:
-    """Mean residual of each sensor in each group, and its group."""
-    design = fitted.design
-    residuals = values - design.columns() @ fitted.effects[design.independent_columns()]
-    keys = design.group * len(design.sensors) + design.sensor
-    unique_keys, place = np.unique(keys, return_inverse=True)
-    means: Array = np.bincount(place, residuals) / np.bincount(place)
-    return means, (unique_keys // len(design.sensors)).astype(np.intp)
+def scatter_products(design: Crossing, columns: SparseArray, response: Array, scatter: Scatter) -> Array:
+    """Return [X y]ᵀV⁻¹[X y] as parts (g + 1, p + 1, p + 1): between the sensors of each group, and within sensors.
+
+    Parameters
+    ----------
+    columns : (N, p) sparse array, X.
+    response : (N,) y.
+    """
+    width = columns.shape[1] + 1
+    parts = np.zeros((len(design.groups) + 1, width, width))
+    for index, sensor_variance in enumerate(scatter.sensor_variances.tolist()):
+        members = np.flatnonzero(design.group == index)
+        sensor = np.unique(design.sensor[members], return_inverse=True)[1].astype(np.intp)
+        sums = random_effect_sums(columns[members], response[members], sensor)
+        weights = sums.sizes / (scatter.run_variance + sums.sizes * sensor_variance)
+        parts[index] = np.tensordot(weights, sums.between, axes=1)
+        if scatter.run_variance:
+            parts[-1] += sums.within / scatter.run_variance
+    return parts
 
 
-def _by_group(means: Array, group: IntArray, fitted: Fit) -> list[Array]:
-    return [means[group == index] for index in range(len(fitted.design.groups))]
+def _sensor_means(design: Crossing, residuals: Array) -> tuple[Array, IntArray, IntArray]:
+    """Mean residual of each sensor in each group, its number of runs, and its group."""
+    keys, place = np.unique(design.group * len(design.sensors) + design.sensor, return_inverse=True)
+    counts = np.bincount(place)
+    means: Array = np.bincount(place, residuals) / counts
+    return means, counts, (keys // len(design.sensors)).astype(np.intp)
 
 
-def _deviations(fitted: Fit, values: Array) -> Array:
-    """Return s of each group relative to their root mean square; that of small groups is taken as 1."""
-    means, group = _sensor_residuals(fitted, values)
-    effects = int(fitted.design.independent_columns().sum())
-    kept_share = max(1 - effects / len(means), 1 / len(means))
-    squares = np.array(
-        [
-            float(np.mean(of_group**2)) / kept_share if len(of_group) >= _FEWEST_SENSORS else np.nan
-            for of_group in _by_group(means, group, fitted)
-        ]
-    )
-    relative = np.sqrt(squares / np.nanmean(squares))
-    return np.where(np.isnan(relative), 1.0, np.maximum(relative, _LEAST_DEVIATION))
-
-
-def _fit_weighted(alike: Fit, values: Array, deviations: Array) -> Fit:
-    """Fit by generalised least squares with the groups' deviations (g,) relative to σ."""
+def _variances(alike: Fit, residuals: Array) -> Scatter:
+    """Estimate the variances from residuals (N,) of the present effects; small groups get the mean of the others."""
     design = alike.design
-    residuals = values - design.columns() @ alike.effects[design.independent_columns()]
-    scale = float(np.abs(residuals).max())
-    weights = 1 / deviations[design.group]
-    columns = (sparse.diags_array(weights) @ design.columns()).tocsr()
-    response = weights * residuals / scale
-    sums = random_effect_sums(columns, response, design.sensor)
-    is_mixed = alike.model is Model.MIXED
-    ratio = variance_ratio(sums).value if is_mixed else 0.0
-    products = sums.within + sums.products(ratio)
-    inverse = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64)
-    inner = inverse @ products[:-1, -1]
-    variance = scale**2 * float(products[-1, -1] - products[:-1, -1] @ inner) / (sums.runs - sums.columns)
-    effects = alike.effects.copy()
-    effects[design.independent_columns()] += scale * inner
-    shares = []
+    means, counts, group = _sensor_means(design, residuals)
+    run_variance = 0.0
+    if alike.model is Model.MIXED:
+        sums = random_effect_sums(design.columns(), residuals, design.sensor)
+        run_variance = sums.within_rest() / (sums.runs - sums.total_sensors - sums.within_rank())
+    kept_share = max(1 - int(design.independent_columns().sum()) / len(means), 1 / len(means))
+    variances = np.full(len(design.groups), np.nan)
     for index in range(len(design.groups)):
-        is_member = design.group == index
-        sensor = np.unique(design.sensor[is_member], return_inverse=True)[1].astype(np.intp)
-        part = random_effect_sums(columns[np.flatnonzero(is_member)], response[is_member], sensor)
-        shares.append(inverse @ (part.within + part.products(ratio))[:-1, :-1] @ inverse)
+        members = group == index
+        if np.sum(members) >= _FEWEST_SENSORS:
+            mean_square = float(np.mean(means[members] ** 2)) / kept_share
+            variances[index] = mean_square - run_variance * float(np.mean(1 / counts[members]))
+    typical = max(float(np.nanmean(variances)), _LEAST_VARIANCE)
+    variances[np.isnan(variances)] = typical
+    return Scatter(run_variance, np.maximum(variances, _LEAST_VARIANCE * typical))
+
+
+def _freedoms(design: Crossing) -> Array:
+    """Degrees of freedom of the variance of each group's sensors, and of runs of one sensor."""
     sensors = np.array([len(np.unique(design.sensor[design.group == index])) for index in range(len(design.groups))])
-    freedoms = np.maximum(sensors * (1 - sums.columns / sensors.sum()), 1.0)
-    covariance = small_sample(sums, ratio).adjusted if is_mixed else inverse
-    deviation = sqrt(variance)
-    return replace(
-        alike,
-        effects=effects,
-        run_deviation=deviation,
-        sensor_deviation=deviation * sqrt(ratio) if is_mixed else None,
-        covariance=variance * covariance,
-        small=GroupVariances(np.stack(shares), freedoms),
-        scatter=deviations,
-    )
+    kept_share = 1 - int(design.independent_columns().sum()) / int(sensors.sum())
+    within = len(design.group) - len(design.sensors)
+    freedoms: Array = np.maximum(np.append(sensors * kept_share, within), 1.0)
+    return freedoms

@@ -18,7 +18,7 @@ metric whose own F alone shows lack of fit keeps its own.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from math import inf, log, sqrt
 
 import numpy as np
@@ -26,9 +26,10 @@ from scipy import linalg, optimize, sparse, special, stats
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.crossings import Crossing, IntArray
-from cbsr_qa.stats.mixed_model.model import ContrastFreedom, Fit, Model
+from cbsr_qa.stats.crossings import Crossing, IntArray, SparseArray
+from cbsr_qa.stats.mixed_model.model import ContrastFreedom, Fit, Model, Scatter
 from cbsr_qa.stats.mixed_model.reml import random_effect_sums, small_sample, variance_ratio
+from cbsr_qa.stats.mixed_model.scatter import scatter_products
 from cbsr_qa.stats.samples import LEAST_SPREAD
 
 #: Level of the test of lack of fit.
@@ -45,23 +46,23 @@ class SessionMeans:
 
     Parameters
     ----------
-    columns : (c, p) C.
     means : (c,) β of the residuals of the additive fit, in the metric's unit.
     covariance : (c, c) of the means without sessions, A⁻¹, over σ²; Kenward and Roger's where sensors are random.
     variance : σ̂², from runs within sessions.
     small : basis of the degrees of freedom; None where they are ``run_freedom``, whatever the contrast.
     run_freedom : runs less sessions.
     sensors, residuals : (q,) names, and means of a sensor's residuals within sessions over their root mean square.
+    columns : (c, p) C.
     """
 
-    columns: Array
     means: Array
     covariance: Array
     variance: float
     small: ContrastFreedom | None
     run_freedom: float
     sensors: tuple[str, ...]
-    residuals: Array
+    residuals: Array = field(default_factory=lambda: np.zeros(0))
+    columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
 
     def freedom(self, contrast: Array) -> float:
         """Return the degrees of freedom of the variance of a contrast of means (c,)."""
@@ -161,10 +162,31 @@ def fit_session_means(additive: Fit, values: Array) -> SessionMeans | None:
         return None
     residuals = values - design.columns() @ additive.effects[design.independent_columns()]
     scale = float(np.abs(residuals).max())
-    weights = np.ones(len(session)) if additive.scatter is None else 1 / additive.scatter[design.group]
-    members = sparse.coo_array((weights, (np.arange(len(session)), session))).tocsr()
-    sums = random_effect_sums(members, weights * residuals / scale, design.sensor)
-    is_mixed = additive.model is Model.MIXED
+    members = sparse.coo_array((np.ones(len(session)), (np.arange(len(session)), session))).tocsr()
+    if additive.scatter is None:
+        estimated = _estimate_means(additive, members, residuals / scale)
+    else:
+        estimated = _estimate_scattered_means(additive.scatter.scale(1 / scale), design, members, residuals / scale)
+    if estimated is None:
+        return None
+    within = (residuals - (np.bincount(session, residuals) / np.bincount(session))[session]) / scale
+    if additive.scatter is not None:
+        variances = additive.scatter.run_variance + additive.scatter.sensor_variances
+        within /= np.sqrt(variances / variances.max())[design.group]
+    of_sensors = np.bincount(design.sensor, within) / np.bincount(design.sensor)
+    return replace(
+        estimated,
+        columns=columns,
+        means=scale * estimated.means,
+        variance=scale**2 * estimated.variance,
+        residuals=of_sensors / sqrt(float(np.mean(of_sensors**2))),
+    )
+
+
+def _estimate_means(additive: Fit, members: SparseArray, response: Array) -> SessionMeans | None:
+    """Return the means of a response (N,) by restricted likelihood, if sensors scatter alike in all groups."""
+    design, is_mixed = additive.design, additive.model is Model.MIXED
+    sums = random_effect_sums(members, response, design.sensor)
     try:
         ratio = variance_ratio(sums).value if is_mixed else 0.0
     except NumericsError:
@@ -176,18 +198,17 @@ def fit_session_means(additive: Fit, values: Array) -> SessionMeans | None:
         return None
     small = small_sample(sums, ratio) if is_mixed else None
     covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64) if small is None else small.adjusted
-    within = weights * (residuals - (np.bincount(session, residuals) / np.bincount(session))[session])
-    within = np.bincount(design.sensor, within / scale) / np.bincount(design.sensor)
-    return SessionMeans(
-        columns=columns,
-        means=scale * means,
-        covariance=covariance,
-        variance=scale**2 * variance,
-        small=small,
-        run_freedom=float(sums.runs - sums.columns),
-        sensors=design.sensors,
-        residuals=within / sqrt(float(np.mean(within**2))),
-    )
+    return SessionMeans(means, covariance, variance, small, float(sums.runs - sums.columns), design.sensors)
+
+
+def _estimate_scattered_means(
+    scatter: Scatter, design: Crossing, members: SparseArray, response: Array
+) -> SessionMeans:
+    """Return the means of a response (N,) where each group has its own scatter; their covariance counts σ² as 1."""
+    products = scatter_products(design, members, response, scatter).sum(axis=0)
+    covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64)
+    freedom = float(len(design.sensors) - members.shape[1])
+    return SessionMeans(covariance @ products[:-1, -1], covariance, 1.0, None, freedom, design.sensors)
 
 
 def _sessions(design: Crossing) -> tuple[IntArray, IntArray]:

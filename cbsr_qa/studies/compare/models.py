@@ -76,8 +76,9 @@ def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) 
             values = values[design.first_runs()]
         fitted = fit_scatter(alike, values)
         if fitted.scatter is not None:
-            low, high = int(np.argmin(fitted.scatter)), int(np.argmax(fitted.scatter))
-            names, times = fitted.design.groups, float(fitted.scatter[high] / fitted.scatter[low])
+            variances, names = fitted.scatter.sensor_variances, fitted.design.groups
+            low, high = int(np.argmin(variances)), int(np.argmax(variances))
+            times = float(np.sqrt(variances[high] / variances[low]))
             notes.append(_SCATTER.format(low=names[low], high=names[high], times=times))
         fitted = replace(fitted, notes=(*fitted.notes, *notes))
         return Fitted(fitted, "", of_stations, fit_session_means(fitted, values))

@@ -55,7 +55,8 @@ def test_a_batch_is_not_taken_for_the_day_it_was_tested_on():
     assert abs(np.mean([one.difference for one in found])) < 0.1
     assert sum(one.low <= 0.0 <= one.high for one in found) >= 35
     assert all(one.naive.difference > 0.4 for one in found)
-    assert all(one.model.startswith("fixed: group and each station's batches") for one in found)
+    # One in twenty shows a lack of fit by chance.
+    assert sum(one.model.startswith("fixed: group and each station's batches") for one in found) >= 35
 
 
 def test_days_that_are_batches_are_not_compared():
