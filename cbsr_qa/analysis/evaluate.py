@@ -123,6 +123,7 @@ def calibrate_run(
     if not recipe.calibrate_phases:
         return None, f"the recipe {recipe.name!r} has no phase to calibrate from"
     force = run_force(conclusion.observation)
+    noise_figures = (m.value for m in conclusion.measurements if m.name == "noise_figure" and m.value is not None)
     try:
         issued = issue_calibration(
             conclusion.observation,
@@ -131,7 +132,7 @@ def calibrate_run(
             issued_at=issued_at,
             phases=recipe.calibrate_phases,
             overlap_threshold=_overlap_threshold(recipe),
-            noise_figure=_find_value(conclusion, "noise_figure"),
+            noise_figure=next(noise_figures, None),
             learned=force.learned,
             learned_from=force.used,
             confirmed=force.list_confirmed_loads(),
@@ -158,10 +159,6 @@ def _overlap_threshold(recipe: Recipe) -> float:
     ]
     bands = sorted(band.lower for band in recipe.analysis.overlap_bands)
     return max(overlap_limits) if overlap_limits else bands[min(1, len(bands) - 1)]
-
-
-def _find_value(conclusion: Conclusion, name: str) -> float | None:
-    return next((m.value for m in conclusion.measurements if m.name == name and m.value is not None), None)
 
 
 def measure_run(
@@ -205,15 +202,17 @@ def judge(measurements: Iterable[Measurement], limits: Iterable[Limit]) -> tuple
     """
     judged = list(measurements)
     for limit in limits:
-        fitting = [number for number, measurement in enumerate(judged) if _fits(limit, measurement)]
+        fitting = [number for number, measurement in enumerate(judged) if _applies_to(limit, measurement)]
         same_unit = [number for number in fitting if judged[number].unit == limit.unit]
         for number in same_unit:
-            judged[number] = _stricter(judged[number], judged[number].judge(limit))
+            again = judged[number].judge(limit)
+            if SEVERITY.index(again.outcome) <= SEVERITY.index(judged[number].outcome):
+                judged[number] = again
         if not fitting:
-            judged.append(_missing_measurement(limit, _NOT_ENABLED))
+            judged.append(_make_missing_measurement(limit, _NOT_ENABLED))
         elif not same_unit:
             unit = judged[fitting[0]].unit
-            judged.append(_missing_measurement(limit, f"{_OTHER_UNIT}{limit.unit}, the measurement in {unit}"))
+            judged.append(_make_missing_measurement(limit, f"{_OTHER_UNIT}{limit.unit}, the measurement in {unit}"))
     return tuple(judged)
 
 
@@ -251,7 +250,7 @@ def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservat
     ]
 
 
-def _fits(limit: Limit, measurement: Measurement) -> bool:
+def _applies_to(limit: Limit, measurement: Measurement) -> bool:
     return (
         limit.measurement == measurement.name
         and limit.phase in ("", measurement.phase)
@@ -259,10 +258,6 @@ def _fits(limit: Limit, measurement: Measurement) -> bool:
     )
 
 
-def _stricter(before: Measurement, after: Measurement) -> Measurement:
-    return before if SEVERITY.index(before.outcome) < SEVERITY.index(after.outcome) else after
-
-
-def _missing_measurement(limit: Limit, why: str) -> Measurement:
+def _make_missing_measurement(limit: Limit, why: str) -> Measurement:
     nothing = Measurement(limit.measurement, None, limit.unit, phase=limit.phase, qualifier=limit.qualifier, how=why)
     return nothing.judge(limit)

@@ -203,7 +203,7 @@ def _read(path: Path, file: h5py.File) -> Recording:
         scan=ScanKind(description.scan),
         frames=_read_frames(group_of(file, "frames")),
         reference=_read_frames(group_of(file, "reference")) if "reference" in file else None,
-        samples=_read_channels(group_of(file, "samples")) if "samples" in file else (),
+        samples=_read_samples(group_of(file, "samples")) if "samples" in file else (),
         loads=_read_loads(group_of(file, "loads")) if "loads" in file else (),
         layout=description.electrodes(),
         notes=notes,
@@ -240,15 +240,16 @@ def _read_frames(group: h5py.Group) -> FrameBlock:
     return FrameBlock(times_s, voltages, flags, VoltageUnit(unit), current_A, reading_times_s)
 
 
-def _read_channels(group: h5py.Group) -> tuple[SampleBlock, ...]:
-    return tuple(_read_samples(group_of(group, key)) for key in sorted(group))
-
-
-def _read_samples(group: h5py.Group) -> SampleBlock:
-    times_s = numbers(group, "time_s")
-    values = numbers(group, "values", shape=times_s.shape)
-    finite_mask = np.isfinite(times_s) & np.isfinite(values)  # a lost sample is left out
-    return SampleBlock(text_of(group, "channel"), unit_of(group, "values"), times_s[finite_mask], values[finite_mask])
+def _read_samples(channels: h5py.Group) -> tuple[SampleBlock, ...]:
+    blocks = []
+    for key in sorted(channels):
+        group = group_of(channels, key)
+        times_s = numbers(group, "time_s")
+        values = numbers(group, "values", shape=times_s.shape)
+        finite_mask = np.isfinite(times_s) & np.isfinite(values)  # a lost sample is left out
+        channel, unit = text_of(group, "channel"), unit_of(group, "values")
+        blocks.append(SampleBlock(channel, unit, times_s[finite_mask], values[finite_mask]))
+    return tuple(blocks)
 
 
 def _read_loads(group: h5py.Group) -> tuple[LoadRecord, ...]:

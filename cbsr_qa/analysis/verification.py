@@ -15,7 +15,6 @@ from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.frames import SampleBlock
-from cbsr_qa.domain.results.calibration import LoadRelaxation
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import FitStatus
 
@@ -147,13 +146,13 @@ class _Reader:
             return None
         strength_before = self._calibration.filter.match_at(self._rows(frames_before.voltages), place).strength
         base = model.residue_share * float(strength_before.mean()) if len(strength_before) else 0.0
-        strength, stderr = self._hold_strength(held_frames.time_s - record.hold_start_s, matches, base, load)
+        strength, stderr = self._estimate_hold_strength(held_frames.time_s - record.hold_start_s, matches, base, load)
         match = Matches(place[None], np.array([strength]), np.zeros((1, 3, 3)), np.zeros(1), np.zeros(1))
         match.covariance[0, 0, 0] = stderr**2 + (model.residue_stderr * base / model.residue_share) ** 2
         estimated, error = self._calibration.inverse.force(match)
         if not np.isfinite(estimated[0]):
             return None
-        measured = self._hold_force_N(
+        measured = self._estimate_hold_force_N(
             cell.select_interval(record.hold_start_s + _SETTLED_S, record.release_start_s), load
         )
         return VerifiedLoad(load, measured, float(estimated[0]), float(error[0]))
@@ -161,7 +160,7 @@ class _Reader:
     def _rows(self, voltages: Array) -> Array:
         return (voltages - self._run.reference)[:, self._used] @ self._calibration.model.merging.T * self._per_A
 
-    def _hold_strength(
+    def _estimate_hold_strength(
         self, held_s: Array, matches: Matches, base: float, load: LoadObservation
     ) -> tuple[float, float]:
         """Strength at the hold of the calibration and its standard error."""
@@ -175,24 +174,20 @@ class _Reader:
         )
         return float(prediction.values[0]), float(prediction.stderr[0])
 
-    def _hold_force_N(self, samples: SampleBlock, load: LoadObservation) -> float:
+    def _estimate_hold_force_N(self, samples: SampleBlock, load: LoadObservation) -> float:
         """Force at the hold of the calibration, from the relaxation of stress there."""
         held_s = samples.time_s - load.record.hold_start_s
-        shapes = [
-            relaxation.fit for relaxation in self._calibration.issued.relaxations if _is_stress_relaxation(relaxation)
+        stresses = [
+            relaxation.fit
+            for relaxation in self._calibration.issued.relaxations
+            if relaxation.signal == "stress" and relaxation.loading
         ]
+        shapes = [fit for fit in stresses if fit.status not in _NO_RELAXATION and fit.offset > 0]
         if not shapes or not len(samples):
             return float(load.force_N or 0.0)
         steady_s = self._calibration.model.steady_s
         ratios = [relaxation_curve(fit, np.array([steady_s]))[0] / relaxation_curve(fit, held_s) for fit in shapes]
         return float(np.mean(samples.values * np.median(ratios, axis=0)))
-
-
-def _is_stress_relaxation(relaxation: LoadRelaxation) -> bool:
-    fit = relaxation.fit
-    return (
-        relaxation.signal == "stress" and relaxation.loading and fit.status not in _NO_RELAXATION and fit.offset > 0
-    )
 
 
 def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:

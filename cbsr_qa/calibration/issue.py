@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from datetime import UTC, datetime
+from typing import Final
 
 import numpy as np
 
@@ -30,6 +31,10 @@ from cbsr_qa.domain.results.measurement import Verdict
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
+
+_INTERCEPT: Final = "β against stress"
+#: Parameters taken from the material; a force model may have fitted the intercept.
+_ASSUMED: Final = ("α against stress", _INTERCEPT, "α against strain", "β against strain")
 
 
 def issue_calibration(
@@ -72,17 +77,17 @@ def issue_calibration(
     """
     _check_passed(observation, verdict)
     utc, material = _utc(issued_at), observation.record.material
-    loads = _loads_of(observation, phases)
+    loads = [load for load in observation.loads if load.phase in phases]
     against_stress = material.against_stress if learned is None else learned.line
-    baseline, used_loads = _baseline(observation, loads, against_stress)
+    baseline, used_loads = _baseline(observation, loads, phases, against_stress)
     why = "" if learned else no_force or "no force model was requested"
-    reduced = [*_list_left_out(baseline), *list_missing_forces(loads)]
+    fitted = _INTERCEPT if learned is not None and learned.fitted_intercept else ""
     if learned is None:
-        reduced.append(f"no force model: {why}")
+        force_reduced = [f"no force model: {why}"]
     else:
         used_loads = [load for load, refusal in zip(learned_from, learned.refused, strict=True) if not refusal]
-        reduced += [*force_reductions(learned, learned_from), *list_untrained_ranges(used_loads, confirmed)]
-    reduced += reading_reductions(observation.record.sensor_type.pattern, observation.usable)
+        force_reduced = [*force_reductions(learned, learned_from), *list_untrained_ranges(used_loads, confirmed)]
+    reduced = _list_reductions(observation, baseline, loads, force_reduced)
     relaxations = tuple(_relaxations(observation.tested))
     return stamp(
         Calibration(
@@ -94,7 +99,7 @@ def issue_calibration(
             baseline=baseline,
             against_stress=against_stress,
             against_strain=material.against_strain,
-            assumed=_list_assumed(learned),
+            assumed=tuple(parameter for parameter in _ASSUMED if parameter != fitted),
             settling=summarise_settling(relaxations),
             overlap_threshold=overlap_threshold,
             validity=_validity(observation, [*used_loads, *confirmed], reduced),
@@ -107,26 +112,38 @@ def issue_calibration(
     )
 
 
-def _loads_of(observation: RunObservation, phases: Sequence[str]) -> list[LoadObservation]:
-    loads = [load for load in observation.loads if load.phase in phases]
-    if not loads:
-        raise CalibrationError(f"no load gives a baseline conductance: no load in {', '.join(phases)}")
-    return loads
-
-
 def _baseline(
-    observation: RunObservation, loads: Sequence[LoadObservation], against_stress: QuasiStatic
+    observation: RunObservation,
+    loads: Sequence[LoadObservation],
+    phases: Sequence[str],
+    against_stress: QuasiStatic,
 ) -> tuple[tuple[BaselineConductance, ...], list[LoadObservation]]:
     """ρ̄₀ of every location, and the loads that contributed."""
     noise, mask = observation.noise_images, observation.main_mask
     baseline = baseline_conductance(loads, against_stress, noise, mask)
     used_loads = [load for load in loads if load_baseline(load, against_stress, noise, mask).value is not None]
     if not used_loads:
-        reasons = (
-            "; ".join(dict.fromkeys(place.why for place in baseline)) or "no load in the phases it is taken from"
-        )
+        reasons = "; ".join(dict.fromkeys(place.why for place in baseline)) or f"no load in {', '.join(phases)}"
         raise CalibrationError(f"no load gives a baseline conductance: {reasons}")
     return baseline, used_loads
+
+
+def _list_reductions(
+    observation: RunObservation,
+    baseline: Sequence[BaselineConductance],
+    loads: Sequence[LoadObservation],
+    force_reduced: Sequence[str],
+) -> list[str]:
+    """Return what reduces the validity: places left out, missing forces, the force model, and unusable readings."""
+    reduced = [
+        f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"
+        for place in baseline
+        if place.value is None
+    ]
+    reduced += list_missing_forces(loads)
+    reduced += force_reduced
+    reduced += reading_reductions(observation.record.sensor_type.pattern, observation.usable)
+    return reduced
 
 
 def summarise_settling(relaxations: Sequence[LoadRelaxation]) -> tuple[SettlingSummary, ...]:
@@ -191,11 +208,6 @@ def _relaxations(loads: Sequence[LoadObservation]) -> Iterator[LoadRelaxation]:
             )
 
 
-def _list_assumed(learned: LearnedForce | None) -> tuple[str, ...]:
-    fitted = learned is not None and learned.fitted_intercept
-    return ("α against stress", *(() if fitted else ("β against stress",)), "α against strain", "β against strain")
-
-
 def _validity(observation: RunObservation, reached: Sequence[LoadObservation], reduced: Sequence[str]) -> Validity:
     """Range of the loads that force was learned from or agrees with, else of those with a baseline conductance."""
     forces = [load.force_N for load in reached if load.force_N is not None]
@@ -216,9 +228,3 @@ def _temperature_C(observation: RunObservation) -> tuple[float, float] | None:
         return None
     joined = np.concatenate(values)
     return float(joined.min()), float(joined.max())
-
-
-def _list_left_out(baseline: Sequence[BaselineConductance]) -> Iterator[str]:
-    for place in baseline:
-        if place.value is None:
-            yield f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"

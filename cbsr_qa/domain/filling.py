@@ -18,7 +18,7 @@ def fill_from_object(kind: type[T], source: object, /, **rest: Any) -> T:
 
 def fill_from_mapping(kind: type[T], values: Mapping[str, Any], /, **rest: Any) -> T:
     """Return a dataclass of the values named as its fields, each as :func:`convert_json`; ``rest`` goes first."""
-    hints = _hints(kind)
+    hints = _read_hints(kind)  # type: ignore[arg-type]  # a class is hashable
     names = hints.keys() & values.keys() - rest.keys()
     return kind(**{name: convert_json(hints[name], values[name]) for name in names}, **rest)
 
@@ -46,19 +46,11 @@ def convert_json(hint: Any, value: Any) -> Any:
             return convert_json(kinds[0], value)
     tables: list[Any] = [kind for kind in kinds if is_dataclass(kind)]
     if tables:
-        return _table(tables, value)
+        if not isinstance(value, Mapping):
+            raise TypeError(f"{str(value)[:60]!r} is not a table")
+        table = next((candidate for candidate in tables if value.keys() <= _read_hints(candidate).keys()), tables[0])
+        return table(**{name: convert_json(_read_hints(table)[name], item) for name, item in value.items()})
     return hint(value) if isinstance(hint, type) and issubclass(hint, StrEnum) else value
-
-
-def _table(kinds: list[Any], value: Any) -> Any:
-    if not isinstance(value, Mapping):
-        raise TypeError(f"{str(value)[:60]!r} is not a table")
-    kind = next((candidate for candidate in kinds if value.keys() <= _hints(candidate).keys()), kinds[0])
-    return kind(**{name: convert_json(_hints(kind)[name], candidate) for name, candidate in value.items()})
-
-
-def _hints(kind: Any) -> dict[str, Any]:
-    return _read_hints(kind)
 
 
 @cache

@@ -116,14 +116,14 @@ def list_fields(of: Any) -> tuple[KeptField, ...]:
 @cache
 def _read_fields(of: Any) -> tuple[KeptField, ...]:
     hints = get_type_hints(of, include_extras=True)
-    return tuple(_read_field(field, hints[field.name]) for field in dataclasses.fields(of))
-
-
-def _read_field(field: dataclasses.Field[Any], hint: Any) -> KeptField:
-    annotations = [annotation for annotation in getattr(hint, "__metadata__", ()) if isinstance(annotation, Kept)]
-    return KeptField(
-        field.name, hint.__origin__ if annotations else hint, field.default, annotations[0] if annotations else Kept()
-    )
+    kept_fields = []
+    for field in dataclasses.fields(of):
+        hint, annotated = hints[field.name], Kept()
+        annotations = [a for a in getattr(hint, "__metadata__", ()) if isinstance(a, Kept)]
+        if annotations:
+            hint, annotated = hint.__origin__, annotations[0]
+        kept_fields.append(KeptField(field.name, hint, field.default, annotated))
+    return tuple(kept_fields)
 
 
 def as_filed(held: _Kind) -> _Kind:

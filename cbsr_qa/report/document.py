@@ -2,7 +2,6 @@
 
 import json
 from dataclasses import dataclass
-from datetime import date
 from functools import lru_cache
 from pathlib import Path
 from typing import Any, Final, TypeVar
@@ -28,14 +27,11 @@ def json_document(result: Any) -> dict[str, Any]:
     """Return a result as JSON: fields by name, tuples as lists, dates and times as text (ISO 8601)."""
     kind: type = type(result)
     # pydantic would write UTC as Z, which Python 3.10 and the other documents do not know
+    plain = _adapter(kind).dump_python(result, by_alias=True)
     document: dict[str, Any] = json.loads(
-        json.dumps(_adapter(kind).dump_python(result, by_alias=True), default=_text)
+        json.dumps(plain, default=lambda value: str(value) if isinstance(value, Path) else value.isoformat())
     )
     return document
-
-
-def _text(value: date | Path) -> str:
-    return str(value) if isinstance(value, Path) else value.isoformat()
 
 
 def json_schema(kind: type) -> dict[str, Any]:

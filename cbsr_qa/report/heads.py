@@ -80,34 +80,28 @@ def recording_page(result: RecordingResult) -> Page:
     """Return the head of a recording's report."""
     recording, count = result.recording, len(result.events)
     rate = result.frame_rate_hz
-    facts = (
+    sensor_type = recording.sensor_type or "not stated: lengths are in units of the radius"
+    if result.sensor_type is not None:
+        sensor_type = result.sensor_type.name
+    facts = [
         ("File", recording.path.name),
         *((("Data set", recording.dataset),) if recording.dataset else ()),
         ("Format", recording.format),
-        ("Sensor type", _sensor_type(result)),
+        ("Sensor type", sensor_type),
         ("Frames", str(len(recording.frames))),
         ("Frame rate", "none: still images" if rate is None else f"{rate:.3g} frames/s"),
         ("Clock", _CLOCKS.get(recording.clock, f"the {recording.clock}'s")),
         ("Rows rejected", str(recording.rows_rejected)),
         ("Force", "recorded" if any(s.channel == "force" for s in recording.samples) else "not recorded"),
-        *_imaging(result),
-    )
+    ]
+    if result.imaging is not None:
+        name = result.imaging.reconstruction.name
+        facts.append(("Images by", name if count else f"{name}: nothing was imaged"))
     headline = f"{plural(count, 'event')} found" if count else "no event"
     banner = Banner("plain", "●" if count else "○", headline, _describe_strongest(result))
-    return Page("Recording report", recording.path.name, banner, facts, recording.simulated, (), result.warnings)
-
-
-def _sensor_type(result: RecordingResult) -> str:
-    if result.sensor_type is not None:
-        return result.sensor_type.name
-    return result.recording.sensor_type or "not stated: lengths are in units of the radius"
-
-
-def _imaging(result: RecordingResult) -> tuple[tuple[str, str], ...]:
-    if result.imaging is None:
-        return ()
-    name = result.imaging.reconstruction.name
-    return (("Images by", name if result.events else f"{name}: nothing was imaged"),)
+    return Page(
+        "Recording report", recording.path.name, banner, tuple(facts), recording.simulated, (), result.warnings
+    )
 
 
 def _verdict(result: RunResult) -> Banner:

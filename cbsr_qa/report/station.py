@@ -22,13 +22,12 @@ _COLUMNS: Final = ("Part", "Check", "Value", "Allowed", "Details", "Outcome")
 
 def lines_table(caption: str, results: Sequence[CheckResult]) -> Table:
     """Return results of a check, one a row."""
-    return text_table(caption, _COLUMNS, [_row(line) for line in results], (2,))
-
-
-def _row(line: CheckResult) -> tuple[str | Cell, ...]:
-    value = "–" if line.value is None else quantity(line.value, line.unit)
-    outcome = Cell(str(line.outcome), _CELLS[line.outcome])
-    return line.subject, line.name, value, line.allowed or "–", line.said or "–", outcome
+    rows = []
+    for line in results:
+        value = "–" if line.value is None else quantity(line.value, line.unit)
+        outcome = Cell(str(line.outcome), _CELLS[line.outcome])
+        rows.append((line.subject, line.name, value, line.allowed or "–", line.said or "–", outcome))
+    return text_table(caption, _COLUMNS, rows, (2,))
 
 
 def remedies(results: Sequence[CheckResult]) -> tuple[Paragraph, ...]:

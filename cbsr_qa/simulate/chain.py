@@ -66,7 +66,14 @@ class Chain:
         self.names = tuple(name for name, _ in named_effects)
         self._sheet = tuple((name, e) for name, e in named_effects if isinstance(e, SheetEffect))
         self._recording = tuple((name, e) for name, e in named_effects if isinstance(e, RecordingEffect))
-        self._stages = {stage: tuple(_select_stage(named_effects, stage)) for stage in STAGES}
+        self._stages = {
+            stage: tuple(
+                (name, e)
+                for name, e in named_effects
+                if e.perturbs == stage and stage not in _OWN_METHODS and isinstance(e, Effect)
+            )
+            for stage in STAGES
+        }
 
     def has(self, stage: str) -> bool:
         return bool(self._stages[stage])
@@ -79,13 +86,13 @@ class Chain:
     def design(self, design: SheetDesign) -> None:
         """Apply the effects of the stage ``sheet`` to a sheet's design."""
         for name, effect in self._sheet:
-            with _blaming(name):
+            with _blame_effect(name):
                 effect.design(design)
 
     def record(self, transcript: Transcript) -> None:
         """Apply the effects of the stage ``recording`` to the transcript."""
         for name, effect in self._recording:
-            with _blaming(name):
+            with _blame_effect(name):
                 effect.record(transcript)
 
     def apply(self, stage: str, moment: Moment) -> None:
@@ -95,9 +102,9 @@ class Chain:
         """
         process = os.getpid()
         for name, effect in self._stages[stage]:
-            try:  # not _blaming: this is the most frequent call
+            try:  # not _blame_effect: this is the most frequent call
                 effect.apply(moment)
-                finite = _finite(stage, moment)
+                finite = _is_finite(stage, moment)
             except CbsrError:
                 raise
             except BaseException as error:
@@ -113,35 +120,29 @@ class Chain:
         times_s: list[float] = []
         for name, effect in self._stages["impedance"]:
             if isinstance(effect, SwitchingEffect):
-                with _blaming(name):
+                with _blame_effect(name):
                     times_s += effect.switches(moment, first_s, last_s)
         return times_s
 
 
-def _select_stage(named: Iterable[tuple[str, AnyEffect]], stage: str) -> Iterator[tuple[str, Effect]]:
-    for name, effect in named:
-        if effect.perturbs == stage and stage not in _OWN_METHODS and isinstance(effect, Effect):
-            yield name, effect
-
-
-def _finite(stage: str, moment: Moment) -> bool:
+def _is_finite(stage: str, moment: Moment) -> bool:
     for attribute in _CHANGED[stage]:
         value = getattr(moment, attribute)
         if attribute == "voltages" and value is not None and moment.flags is not None:
             value = value[(moment.flags & ReadingFlag.MISSING.value) == 0]
-        if not (value is None or _all_finite(value)):
+        if value is None:
+            continue
+        if isinstance(value, np.ndarray):
+            is_finite = bool(np.isfinite(value).all())
+        else:
+            is_finite = all(map(math.isfinite, value if isinstance(value, list | tuple) else (value,)))
+        if not is_finite:
             return False
     return True
 
 
-def _all_finite(value: Any) -> bool:
-    if isinstance(value, np.ndarray):
-        return bool(np.isfinite(value).all())
-    return all(map(math.isfinite, value)) if isinstance(value, list | tuple) else math.isfinite(value)
-
-
 @contextmanager
-def _blaming(name: str) -> Iterator[None]:
+def _blame_effect(name: str) -> Iterator[None]:
     try:
         with come_back_once():
             yield

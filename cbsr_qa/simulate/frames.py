@@ -129,7 +129,8 @@ class FrameMaker:
         """Transfer impedance in the middle; readings per ampere and resistances of their pairs, at their times."""
         offsets = moment.reading_offsets_s
         contact_mm = self._contacts(moment)
-        if offsets is None or not self._changes(moment):
+        changes = bool(moment.presses) or self._chain.has("contacts") or self._chain.has("impedance")
+        if offsets is None or not changes:
             (middle,) = self._impedances([moment], contact_mm)
             drive_ohm = np.broadcast_to(_pair_resistance(self._driven, middle)[:, None], self._pattern.shape)
             measure_ohm = np.broadcast_to(_pair_resistance(self._measured, middle), self._pattern.shape)
@@ -176,9 +177,6 @@ class FrameMaker:
             moment.impedance_ohm = impedance
             self._chain.apply("impedance", moment)
         return [moment.impedance_ohm for moment in moments if moment.impedance_ohm is not None]
-
-    def _changes(self, moment: Moment) -> bool:
-        return bool(moment.presses) or self._chain.has("contacts") or self._chain.has("impedance")
 
 
 def _pair_resistance(pairs: Array, impedance_ohm: Array) -> Array:

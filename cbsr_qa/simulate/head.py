@@ -85,9 +85,11 @@ class PressWriter:
         if start_depth_mm != end_depth_mm:
             ramp_s = min(round_to_ticks(abs(end_depth_mm - start_depth_mm) / speed_mm_s), duration_s)
             begin_s = start_s if end_depth_mm < start_depth_mm else start_s + duration_s - ramp_s
-            self._write(
-                StrainRamp(begin_s, ramp_s, (end_depth_mm - start_depth_mm) / self._sheet.thickness_mm(x_mm, y_mm))
-            )
+            if self._pressing is None:
+                self._pressing = SimulatedPress(len(self._sheet.presses), *self._true[:2])
+                self._sheet.presses.append(self._pressing)
+            strain = (end_depth_mm - start_depth_mm) / self._sheet.thickness_mm(x_mm, y_mm)
+            self._pressing.steps.append(StrainRamp(begin_s, ramp_s, strain))
         if end_depth_mm == 0:
             self._pressing = None
 
@@ -117,12 +119,6 @@ class PressWriter:
     def _arrival(self, to: HeadPosition, time_s: float) -> HeadPosition:
         self._movements += 1
         return self._sheet.head_at(to, self._true, time_s, self._movements)
-
-    def _write(self, step: StrainRamp) -> None:
-        if self._pressing is None:
-            self._pressing = SimulatedPress(len(self._sheet.presses), *self._true[:2])
-            self._sheet.presses.append(self._pressing)
-        self._pressing.steps.append(step)
 
 
 def _cut_ramp(step: StrainRamp, time_s: float) -> StrainRamp:

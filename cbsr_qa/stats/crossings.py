@@ -60,9 +60,12 @@ class Crossing:
 
     def select_runs(self, runs: NDArray[np.bool_] | IntArray) -> "Crossing":
         """Return the design of a subset of the runs, e.g. of those with a metric."""
-        names = self.groups, self.stations, self.sensors
-        codes = (column[runs] for column in (self.group, self.station, self.sensor))
-        return _crossing([_drop_unused(name, code) for name, code in zip(names, codes, strict=True)])
+        factors = ((self.groups, self.group), (self.stations, self.station), (self.sensors, self.sensor))
+        coded = []
+        for names, codes in factors:
+            used_codes, inverse = np.unique(codes[runs], return_inverse=True)
+            coded.append((tuple(names[code] for code in used_codes), inverse.astype(np.intp)))
+        return _crossing(coded)
 
     def first_runs(self) -> IntArray:
         return np.unique(self.sensor, return_index=True)[1]
@@ -133,18 +136,12 @@ def crossing(groups: Sequence[str], stations: Sequence[str], sensors: Sequence[s
         if not all(column):
             run = next(index for index, name in enumerate(column) if not name)
             raise NumericsError(f"design: the run at index {run} has no {kind}", remedy="leave it out, and report it")
-    return _crossing([_code_names(column) for column in columns.values()])
-
-
-def _code_names(column: Sequence[str]) -> tuple[tuple[str, ...], IntArray]:
-    names = sorted(set(column))
-    places = {name: index for index, name in enumerate(names)}
-    return tuple(names), np.array([places[name] for name in column], dtype=np.intp)
-
-
-def _drop_unused(names: tuple[str, ...], codes: IntArray) -> tuple[tuple[str, ...], IntArray]:
-    used_codes, inverse = np.unique(codes, return_inverse=True)
-    return tuple(names[index] for index in used_codes), inverse.astype(np.intp)
+    coded = []
+    for column in columns.values():
+        names = tuple(sorted(set(column)))
+        codes = {name: code for code, name in enumerate(names)}
+        coded.append((names, np.array([codes[name] for name in column], dtype=np.intp)))
+    return _crossing(coded)
 
 
 def _crossing(coded: Sequence[tuple[tuple[str, ...], IntArray]]) -> Crossing:

@@ -143,9 +143,18 @@ def shift(
     ranks, pairs = stats.rankdata(pooled), len(x) * len(y)
     statistic = float(ranks[: len(x)].sum()) - len(x) * (len(x) + 1) / 2
     exact = pairs <= MOST_COUNTED and len(np.unique(pooled)) == len(pooled)
-    spread = _deviation_of_u(pooled, len(x), len(y))
-    p_value = _exact_p_value(statistic, len(x), len(y)) if exact else _approximate(statistic, pairs, spread)
-    rank = _critical(len(x), len(y), confidence) if exact else _normal_critical(pairs, spread, confidence)
+    # The interval's lower end is the difference of rank C: the largest with P(U ≤ C − 1) ≤ α/2.
+    if exact:
+        shares = _shares_up_to(len(x), len(y))
+        p_value = float(min(2 * shares[int(min(statistic, pairs - statistic))], 1.0))
+        rank = int(np.searchsorted(shares, (1 - confidence) / 2, side="right"))
+    else:
+        # U is nearly normal, of the variance n₁n₂/12 (N + 1 − Σ(t³ − t)/(N(N − 1))), t the sizes of ties.
+        ties, count = np.unique(pooled, return_counts=True)[1].astype(float), len(pooled)
+        lost = float(np.sum(ties**3 - ties)) / (count * (count - 1))
+        deviation = sqrt(pairs / 12 * (count + 1 - lost))
+        p_value = float(2 * stats.norm.sf(max(abs(statistic - pairs / 2) - 0.5, 0.0) / deviation))
+        rank = int(np.floor(pairs / 2 - float(stats.norm.isf((1 - confidence) / 2)) * deviation))
     interval = None
     if rank >= 1:
         low, high = differences_of_rank(x, y, (rank, pairs + 1 - rank))
@@ -206,30 +215,3 @@ def _shares_up_to(first: int, second: int) -> Array:
             counts[start::i] = np.cumsum(counts[start::i])
     shares: Array = np.cumsum(counts) / counts.sum()
     return shares
-
-
-def _exact_p_value(statistic: float, first: int, second: int) -> float:
-    smaller = min(statistic, first * second - statistic)
-    return float(min(2 * _shares_up_to(first, second)[int(smaller)], 1.0))
-
-
-def _approximate(statistic: float, pairs: int, spread: float) -> float:
-    z = max(abs(statistic - pairs / 2) - 0.5, 0.0) / spread
-    return float(2 * stats.norm.sf(z))
-
-
-def _deviation_of_u(every: Array, first: int, second: int) -> float:
-    """√(n₁n₂/12 (N + 1 − Σ(t³ − t)/(N(N − 1)))), t the sizes of ties."""
-    ties, count = np.unique(every, return_counts=True)[1].astype(float), first + second
-    lost = float(np.sum(ties**3 - ties)) / (count * (count - 1))
-    return sqrt(first * second / 12 * (count + 1 - lost))
-
-
-def _critical(first: int, second: int, confidence: float) -> int:
-    """Rank C of the interval's lower end among ordered differences: the largest with P(U ≤ C − 1) ≤ α/2."""
-    return int(np.searchsorted(_shares_up_to(first, second), (1 - confidence) / 2, side="right"))
-
-
-def _normal_critical(pairs: int, spread: float, confidence: float) -> int:
-    z = float(stats.norm.isf((1 - confidence) / 2))
-    return int(np.floor(pairs / 2 - z * spread))

@@ -48,16 +48,16 @@ class Interval:
         ends = sorted((factor * self.low + shift, factor * self.high + shift))
         return Interval(ends[0], ends[1], self.confidence)
 
-    def _ends(self) -> tuple[float | None, ...]:
-        return tuple(end if isfinite(end) else None for end in (self.low, self.high))
-
     @classmethod
     def __get_pydantic_core_schema__(cls, source: Any, handler: Any) -> Any:
         """Serialise an interval to JSON as both ends, null for an open one."""
         from pydantic_core import core_schema as core  # there, and nowhere else
 
         end = core.nullable_schema(core.float_schema())
-        written = core.plain_serializer_function_ser_schema(cls._ends, return_schema=core.tuple_schema([end, end]))
+        written = core.plain_serializer_function_ser_schema(
+            lambda interval: tuple(end if isfinite(end) else None for end in (interval.low, interval.high)),
+            return_schema=core.tuple_schema([end, end]),
+        )
         return core.is_instance_schema(cls, serialization=written)
 
 

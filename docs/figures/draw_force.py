@@ -16,7 +16,7 @@ from simulation_figures import worlds
 from simulation_figures.look import CLOSED, Draw, as_file, disc_map, key, panels, say
 from simulation_figures.worlds import Array
 
-from cbsr_qa.calibration.sheet import response_map
+from cbsr_qa.calibration.sheet import response_map, response_processes
 from cbsr_qa.calibration.sheet.response_map import ResponseMap, learn_response
 from cbsr_qa.plugin import NINE_LOCATIONS_MM
 from cbsr_qa.report.draw.style import BLUE, VERMILION
@@ -111,7 +111,7 @@ def _levels(name: str, factor: float, radius_mm: float) -> Array:
     """All that was tried, so that what got no weight is seen too."""
     tried = {
         "length_mm": radius_mm * response_map._LENGTHS,
-        "deviation": response_map._DEVIATIONS,
+        "deviation": response_processes._DEVIATIONS,
         "scatter": response_map._SCATTERS,
     }
     found: Array = factor * tried[name]

@@ -15,6 +15,6 @@ from cbsr_qa.store.opening import open_store
 
 _SENSOR_TYPE = load_sensor_type("disc-100mm").value
 imaging_problem(_SENSOR_TYPE)
-templates._everywhere(load_model(_SENSOR_TYPE), load_station("simulated").value.indenter)
+templates._press_everywhere(load_model(_SENSOR_TYPE), load_station("simulated").value.indenter)
 with TemporaryDirectory() as _folder, open_store(f"sqlite:///{_folder}/runs.db"):
     pass

@@ -19,7 +19,7 @@ _FALSE_RUNS = 1e-4
 _LEAST_REPEATS = 0.05
 #: Share of repeats above which a run of them proves nothing.
 _SELDOM = 0.25
-_FEWEST_FRAMES = 8
+_MIN_FRAMES = 8
 #: A channel of counts hardly varies if its noise is below this share of the usual in its row and its column.
 _HARDLY = 0.05
 #: Largest share of the previous reading in a clipped reading, and how well the channels must agree on it.
@@ -76,31 +76,29 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     present = block.voltages[:, ~missing_mask]
     silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
     not_connected = present.size == 0 or float(np.ptp(present)) <= silent
-    at_end = not_connected and present.size > 0 and _is_at_converter_end(present, block.unit)
+    at_end = False
+    if not_connected and present.size > 0 and block.unit is VoltageUnit.COUNT:
+        # Silent counts at an end of 16 bits; 0 and 32 767, the middle, are readings without input.
+        level = float(np.median(present))
+        at_end = min(abs(level - end) for end in _CONVERTER_ENDS) <= _SILENT_COUNTS
     not_connected = not_connected and not at_end
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
     saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
-    is_frozen = len(block) >= _FEWEST_FRAMES and bool((block.voltages == block.voltages[0]).all())
+    is_frozen = len(block) >= _MIN_FRAMES and bool((block.voltages == block.voltages[0]).all())
     if not (not_connected or at_end or is_frozen):
         saturated |= _find_rail_clipping(block, missing_mask)
         if scan is ScanKind.DRIVEN_PAIRS:
             saturated |= _find_ceiling_clipping(block.voltages)
-    stuck_from = np.where(missing_mask, -1, _first_stuck_frames(block))
+    stuck_from = np.where(missing_mask, -1, _find_first_stuck_frames(block))
     return ChannelFaults(
         saturated & ~missing_mask, stuck_from >= 0, missing_mask, not_connected, is_frozen, stuck_from
     )
 
 
-def _is_at_converter_end(present: Array, unit: VoltageUnit) -> bool:
-    """Whether silent counts are at an end of 16 bits; 0 and 32 767, the middle, are readings without input."""
-    level = float(np.median(present))
-    return unit is VoltageUnit.COUNT and min(abs(level - end) for end in _CONVERTER_ENDS) <= _SILENT_COUNTS
-
-
 def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:
     voltages = np.where(missing, np.median(block.voltages), block.voltages)
     clipped = np.zeros(missing.shape, dtype=bool)
-    if len(voltages) < _FEWEST_FRAMES:
+    if len(voltages) < _MIN_FRAMES:
         return clipped
     for rail in (float(voltages.min()), float(voltages.max())):
         exact = (voltages == rail).mean(axis=0) >= _AT_RAIL
@@ -152,11 +150,11 @@ def _find_ceiling_clipping(voltages: Array) -> Mask:
     return (top - level <= max(_CEILING_SIGMA * 2 * noise, 0.002 * abs(top)))[None]
 
 
-def _first_stuck_frames(block: FrameBlock) -> NDArray[np.int64]:
+def _find_first_stuck_frames(block: FrameBlock) -> NDArray[np.int64]:
     """First frame in which each channel is stuck while most others move; −1 for channels that are not."""
     n = len(block)
     begin = np.full(block.voltages.shape[1:], -1, dtype=np.int64)
-    if n < _FEWEST_FRAMES:
+    if n < _MIN_FRAMES:
         return begin
     share_at_median = (block.voltages == np.median(block.voltages, axis=0)).mean(axis=0)
     repeats = block.voltages[1:] == block.voltages[:-1]
@@ -189,7 +187,7 @@ def _unlikely_run(repeats: Mask, longest: NDArray[np.int64]) -> Array:
     besides = (repeats.sum(axis=0) - longest) / np.maximum(len(repeats) - longest, 1)
     chance = np.maximum(besides, max(float(np.median(repeats.mean(axis=0))), _LEAST_REPEATS))
     needed = np.log(_FALSE_RUNS / repeats.size) / np.log(np.minimum(chance, _SELDOM))
-    return np.where(chance > _SELDOM, np.inf, np.maximum(needed, _FEWEST_FRAMES))
+    return np.where(chance > _SELDOM, np.inf, np.maximum(needed, _MIN_FRAMES))
 
 
 def _longest_run(repeats: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:

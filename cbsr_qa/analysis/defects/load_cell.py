@@ -3,18 +3,17 @@
 from typing import Final
 
 import numpy as np
-from numpy.typing import NDArray
 
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.readings.loads import LoadRecord
 
 #: Fewest samples of a hold that show that a cell is stuck.
-_FEWEST: Final = 8
+_MIN_HOLD_SAMPLES: Final = 8
 #: Share of a hold's samples that equal the highest reading of the phase exactly: noise and relaxation would move away
 #: from it.
 _SHARE: Final = 0.9
 #: Samples in a row at exactly the highest force that noise cannot explain: a second of the rig's cell.
-_FLAT: Final = 8
+_MIN_RUN_AT_LIMIT: Final = 8
 
 
 def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
@@ -26,13 +25,13 @@ def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     if samples is None:
         return ""
     held_forces = samples.select_interval(record.hold_start_s, record.release_start_s).values
-    if len(held_forces) < _FEWEST:
+    if len(held_forces) < _MIN_HOLD_SAMPLES:
         return ""
     highest = float(samples.values.max())
     if highest <= 0 or np.mean(held_forces == highest) < _SHARE:
         return ""
     rest = samples.select_interval(record.unloaded_s, record.rest_end_s).values
-    if len(rest) < _FEWEST or len(np.unique(rest)) < 2:
+    if len(rest) < _MIN_HOLD_SAMPLES or len(np.unique(rest)) < 2:
         return ""
     return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
 
@@ -46,7 +45,9 @@ def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None
         return None
     highest = float(samples.values.max())
     at_limit = samples.values == highest
-    if highest <= 0 or _longest_run(at_limit) < _FLAT:
+    edges = np.flatnonzero(np.diff(np.concatenate([[False], at_limit, [False]]).astype(np.int8)))
+    longest_run = int((edges[1::2] - edges[::2]).max(initial=0))
+    if highest <= 0 or longest_run < _MIN_RUN_AT_LIMIT:
         return None
     below_limit = samples.values[~at_limit]
     often_repeats = len(below_limit) > 1 and float((np.diff(below_limit) == 0).mean()) > 0.5
@@ -56,8 +57,3 @@ def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None
         if (samples.select_interval(load.hold_start_s, load.release_start_s).values == highest).any()
     }
     return highest if not often_repeats or len(strains) > 1 else None
-
-
-def _longest_run(flags: NDArray[np.bool_]) -> int:
-    edges = np.flatnonzero(np.diff(np.concatenate([[False], flags, [False]]).astype(np.int8)))
-    return int((edges[1::2] - edges[::2]).max(initial=0))

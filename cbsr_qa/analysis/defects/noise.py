@@ -25,8 +25,8 @@ _NOISE_RATIO = 1.5
 _NOISE_FRAMES = 12
 _NOISE_T = 8.0
 _OUTLIER = 6.0
-_FEWEST = 4
-_AS_LONG = 0.9  #: stretches at least this share of the longest count as equally long
+_MIN_QUIET_FRAMES = 4
+_MIN_STRETCH_SHARE = 0.9  #: stretches at least this share of the longest count as equally long
 
 
 def channel_noise(readings: Array, *, counts: bool) -> Array:
@@ -135,8 +135,8 @@ def noise_report(
     """
     readings = block.voltages[:, use]
     unit = block.unit.value
-    quiet_slice = _longest_quiet(block.time_s, readings, steps, busy_s)
-    if quiet_slice is None or quiet_slice.stop - quiet_slice.start < _FEWEST or not readings.size:
+    quiet_slice = _find_quietest_stretch(block.time_s, readings, steps, busy_s)
+    if quiet_slice is None or quiet_slice.stop - quiet_slice.start < _MIN_QUIET_FRAMES or not readings.size:
         return NoiseReport(None, unit, None, steps, None, 0)
     quiet_readings, times = readings[quiet_slice], block.time_s[quiet_slice]
     sigma = channel_noise(quiet_readings, counts=block.unit is VoltageUnit.COUNT)
@@ -167,7 +167,7 @@ def _drift_per_min(times: Array, readings: Array) -> float | None:
     return float(np.median(change)) / span * 60
 
 
-def _longest_quiet(
+def _find_quietest_stretch(
     time_s: Array, readings: Array, steps: tuple[NoiseStep, ...], busy_s: tuple[tuple[float, float], ...]
 ) -> slice | None:
     group = np.searchsorted(np.array([step.time_s for step in steps]), time_s, side="right")
@@ -180,10 +180,12 @@ def _longest_quiet(
         return None
     longest = max(len(members) for members in stretches)
     # Among stretches about as long, the quietest shows what the instrument can do.
-    alike = [members for members in stretches if len(members) >= _AS_LONG * longest]
-    best = min(alike, key=lambda members: _spread_of(readings[members]) if len(alike) > 1 else 0.0)
+    alike = [members for members in stretches if len(members) >= _MIN_STRETCH_SHARE * longest]
+    best = alike[0]
+    if len(alike) > 1:
+        spreads = [
+            float(np.median(channel_noise(readings[members], counts=False))) if len(members) > 1 else np.inf
+            for members in alike
+        ]
+        best = alike[spreads.index(min(spreads))]
     return slice(int(best[0]), int(best[-1]) + 1)
-
-
-def _spread_of(readings: Array) -> float:
-    return float(np.median(channel_noise(readings, counts=False))) if len(readings) > 1 else np.inf

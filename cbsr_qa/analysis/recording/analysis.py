@@ -76,7 +76,9 @@ def analyse_recording(
     with stages.stage("events"):
         searched = _search_loads(recording, ready, choices, rate_hz)
     with stages.stage("images"):
-        imaged = _image_events(searched, reconstruction, choices.reconstruction, tell)
+        imaged = Imaged((), EventImaging(choices.reconstruction))
+        if searched.scene is not None and searched.sightings:
+            imaged = image_events(searched.scene, searched.sightings, reconstruction, choices.reconstruction, tell)
     with stages.stage("noise"):
         noise = _noise(recording, ready, imaged.events)
     return RecordingResult(
@@ -131,12 +133,6 @@ def _search_loads(
     if recording.reference is not None:
         return scene.objects(rate_hz)
     return scene.presses(rate_hz)
-
-
-def _image_events(searched: Searched, reconstruction: Reconstruction, chosen: PluginChoice, tell: Tell) -> Imaged:
-    if searched.scene is None or not searched.sightings:
-        return Imaged((), EventImaging(chosen))
-    return image_events(searched.scene, searched.sightings, reconstruction, chosen, tell)
 
 
 def _why_no_signal(recording: Recording, ready: ReadyReadings) -> str:

@@ -20,20 +20,20 @@ WINDOWS = (2, 4, 8)
 #: estimate. With 200 frames about one recording in 200 of pure noise has a step
 #: (tests/analysis/recording/test_event_detection.py).
 THRESHOLD = 5.5
-_MOST_CHANGES = 400
+_MAX_STEPS = 400
 
 
 @dataclass(frozen=True, slots=True)
 class Change:
-    """A detected step.
+    """A detected step, or a pulse (:mod:`pulses`).
 
     Parameters
     ----------
-    frame : the first frame after it.
-    window : frames on either side used to detect it.
-    place : index of the candidate place with the largest step.
-    sign : +1 where the place conducts more afterwards.
-    score : step over its noise.
+    frame : the first frame after a step, or of a pulse.
+    window : frames on either side used to detect a step; frames that a pulse lasts.
+    place : index of the candidate place with the largest change.
+    sign : +1 where the place conducts more afterwards, or during a pulse.
+    score : size over its noise.
     """
 
     frame: int
@@ -43,21 +43,21 @@ class Change:
     score: float
 
 
-def find_changes(scores: Array) -> tuple[Change, ...]:
+def find_steps(scores: Array) -> tuple[Change, ...]:
     """Find the steps in the scores of all places, in time order.
 
     Parameters
     ----------
     scores : (n, p) float64, unit noise if the readings' noise were white and independent.
     """
-    changes: list[Change] = []
+    steps: list[Change] = []
     for window in WINDOWS:
-        while len(changes) < _MOST_CHANGES:
-            further = _strongest(scores, window, changes)
+        while len(steps) < _MAX_STEPS:
+            further = _find_strongest(scores, window, steps)
             if not further:
                 break
-            changes += further
-    return tuple(sorted(_rescore(scores, changes), key=lambda change: change.frame))
+            steps += further
+    return tuple(sorted(_rescore(scores, steps), key=lambda step: step.frame))
 
 
 def nearest_step(scores: Array) -> tuple[float, float]:
@@ -78,7 +78,7 @@ def threshold_for(moments: int, window: int) -> float:
     return THRESHOLD * (1 + window / moments) if moments else np.inf
 
 
-def _strongest(scores: Array, window: int, known: list[Change]) -> list[Change]:
+def _find_strongest(scores: Array, window: int, known: list[Change]) -> list[Change]:
     """Steps above the threshold, strongest first, none within the windows of a stronger one."""
     frames, z = _steps(scores, window, known)
     if not z.size:

@@ -17,16 +17,10 @@ from itertools import pairwise
 import numpy as np
 
 from cbsr_qa.analysis.defects.contacts import Suspect, suspect_in
-from cbsr_qa.analysis.recording.changes import Change, find_changes
-from cbsr_qa.analysis.recording.groups import (
-    SAME_PLACE,
-    Group,
-    find_pulses,
-    group_changes,
-    interpolate_pulses,
-    same_place,
-)
+from cbsr_qa.analysis.recording.changes import Change, find_steps
+from cbsr_qa.analysis.recording.groups import SAME_PLACE, Group, group_steps, is_same_place
 from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_loads
+from cbsr_qa.analysis.recording.pulses import find_pulses, interpolate_pulses
 from cbsr_qa.analysis.recording.traces import (
     BEFORE_FRAMES,
     difference,
@@ -106,17 +100,17 @@ class NoLoads:
     suspects: tuple[Suspect, ...] = ()
 
 
-def find_presses(white: Array, match: Matcher, changes: Sequence[Change], no_loads: NoLoads | None = None) -> Found:
+def find_presses(white: Array, match: Matcher, steps: Sequence[Change], no_loads: NoLoads | None = None) -> Found:
     """Combine steps into presses.
 
     Parameters
     ----------
     white : (n, m) whitened readings, see :meth:`Matcher.whiten`.
-    changes : changes from :func:`changes.find_changes`, in time order.
+    steps : from :func:`changes.find_steps`, in time order.
     no_loads : patterns not to be mistaken for loads.
     """
     no_loads = no_loads or NoLoads(np.zeros(white.shape[1]))
-    search = _Search(white, match, no_loads, group_changes(white, match, tuple(changes)))
+    search = _Search(white, match, no_loads, group_steps(white, match, tuple(steps)))
     for group in search.groups:
         search.close(group)
     return search.found
@@ -134,14 +128,16 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
     The presses, and the steps and pulses behind them.
     """
     pulses = find_pulses(white @ match.patterns)
-    changes = find_changes(white @ match.patterns)
-    presses = find_presses(white, match, changes, no_loads)
-    pulses = tuple(pulse for pulse in pulses if not any(_trembles(pulse, press, match) for press in presses.presses))
+    steps = find_steps(white @ match.patterns)
+    presses = find_presses(white, match, steps, no_loads)
+    pulses = tuple(
+        pulse for pulse in pulses if not any(_belongs_to_press(pulse, press, match) for press in presses.presses)
+    )
     if not pulses:
-        return presses, changes
+        return presses, steps
     calm = interpolate_pulses(white, pulses)
-    changes = find_changes(calm @ match.patterns)
-    presses = find_presses(calm, match, changes, no_loads)
+    steps = find_steps(calm @ match.patterns)
+    presses = find_presses(calm, match, steps, no_loads)
     short_search = _Search(white, match, no_loads, [])
     for pulse in pulses:
         short_search.close_short(pulse)
@@ -150,10 +146,10 @@ def search(white: Array, match: Matcher, no_loads: NoLoads) -> tuple[Found, tupl
     presses.suspects += short_search.found.suspects
     presses.gains += short_search.found.gains
     presses.rejected += short_search.found.rejected
-    return presses, (*changes, *pulses)
+    return presses, (*steps, *pulses)
 
 
-def _trembles(pulse: Change, press: Press, match: Matcher) -> bool:
+def _belongs_to_press(pulse: Change, press: Press, match: Matcher) -> bool:
     """Whether a pulse belongs to a held press or its release.
 
     A press known only by its release may be just the end of the pulse.
@@ -190,23 +186,25 @@ class _Search:
 
     def close(self, group: Group) -> None:
         """Evaluate one press from its steps."""
-        frames_before, frames_held, start, end, along = self._slow(group) if group.slow else self._trace_step(group)
-        if places := self._loads(group.frame, frames_before, frames_held):
+        frames_before, frames_held, start, end, along = (
+            self._trace_slow_press(group) if group.slow else self._trace_step(group)
+        )
+        if places := self._find_loads(group.frame, frames_before, frames_held):
             first_frame = min(int(np.ceil(start)), int(end))
             peak = first_frame + int(np.argmax(along[first_frame : max(int(np.ceil(end)), first_frame + 1)]))
-            score = max(change.score for change in group.changes)
+            score = max(step.score for step in group.steps)
             self.found.presses.append(Press(start, peak, end, frames_before, frames_held, places, score, group.slow))
 
     def close_short(self, pulse: Change) -> None:
         """Evaluate a press of a few frames."""
         frames_before = slice(max(pulse.frame - BEFORE_FRAMES, 0), pulse.frame)
         frames_held = slice(pulse.frame, pulse.frame + pulse.window)
-        if places := self._loads(pulse.frame, frames_before, frames_held):
+        if places := self._find_loads(pulse.frame, frames_before, frames_held):
             start, end = pulse.frame - 0.5, frames_held.stop - 0.5
             peak = pulse.frame + int(np.argmax(trace(self.white, frames_before, frames_held)[frames_held]))
             self.found.presses.append(Press(start, peak, end, frames_before, frames_held, places, pulse.score))
 
-    def _loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
+    def _find_loads(self, frame: int, before: slice, held: slice) -> tuple[Place, ...]:
         """Return the loads that explain a change, or an empty list and the reason."""
         change = difference(self.white, before, held)
         noise = noise_energy(self.white, before, held) / self.white.shape[1]
@@ -214,9 +212,9 @@ class _Search:
         load = fit_loads(change, self.match, places)
         if suspect := suspect_in(change, load, self.match.nuisance, noise, self.no_loads.suspects):
             self.found.suspects.append((frame, suspect))
-        elif share := self._gain(change):
+        elif share := self._find_common_gain(change):
             self.found.gains.append((frame, share))
-        elif reason := _unlike_a_load(self.white, explained, before, held):
+        elif reason := _explain_no_load(self.white, explained, before, held):
             self.found.rejected.append((frame, reason))
         else:
             return places
@@ -224,25 +222,23 @@ class _Search:
 
     def _trace_step(self, group: Group) -> tuple[slice, slice, float, float, Array]:
         """Reference, hold, start, end and trace of a press that started with a step."""
-        first_change = group.changes[0]
-        limits = self._limits(group)
-        frames_before, frames_held = rough(first_change, group.limit(self.groups, len(self.white)), len(self.white))
-        window = min(change.window for change in group.changes)
+        first_step = group.steps[0]
+        limits = self._find_limits(group)
+        frames_before, frames_held = rough(first_step, group.limit(self.groups, len(self.white)), len(self.white))
+        window = min(step.window for step in group.steps)
         is_clear = signal_energy(self.white, frames_before, frames_held) > _FAINT * noise_energy(
             self.white, frames_before, frames_held
         )
         for _ in range(2):
-            end, along = self._end(group, frames_before, frames_held, window, limits)
-            start, first_held = (
-                rise(along, first_change, int(end)) if is_clear else step_start(first_change, int(end))
-            )
+            end, along = self._find_end(group, frames_before, frames_held, window, limits)
+            start, first_held = rise(along, first_step, int(end)) if is_clear else step_start(first_step, int(end))
             frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
             frames_held = slice(first_held, max(min(int(end) + (end == limits[-1] - 1), limits[0]), first_held + 1))
         return frames_before, frames_held, start, end, along
 
-    def _slow(self, group: Group) -> tuple[slice, slice, float, float, Array]:
+    def _trace_slow_press(self, group: Group) -> tuple[slice, slice, float, float, Array]:
         """Evaluate a press of which only the release is a step."""
-        release = group.changes[0]
+        release = group.steps[0]
         until = max(release.frame - release.window // 2, 2)
         frames_held = slice(max(until - BEFORE_FRAMES, 1), until)
         frames_before = slice(0, max(min(BEFORE_FRAMES, frames_held.start), 1))
@@ -250,36 +246,38 @@ class _Search:
         start = slow_rise(along, frames_held.start)
         frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
         along = smooth(trace(self.white, frames_before, frames_held), release.window)
-        return frames_before, frames_held, start, end_of(along, frames_held.start, self._limits(group)[0]), along
+        return frames_before, frames_held, start, end_of(along, frames_held.start, self._find_limits(group)[0]), along
 
-    def _limits(self, group: Group) -> list[int]:
+    def _find_limits(self, group: Group) -> list[int]:
         """Frames at which other events begin, up to the next press at the same place, or the end."""
         later = [other for other in self.groups if other.frame > group.frame and other is not group]
         limits: list[int] = []
         for other in sorted(later, key=lambda each: each.frame):
-            limits.append(max(other.frame - other.changes[0].window, group.changes[-1].frame + 1))
-            if same_place(group, other, self.match):
+            limits.append(max(other.frame - other.steps[0].window, group.steps[-1].frame + 1))
+            if is_same_place(group, other, self.match):
                 return limits
         return [*limits, len(self.white)]
 
-    def _end(self, group: Group, before: slice, held: slice, window: int, limits: list[int]) -> tuple[float, Array]:
+    def _find_end(
+        self, group: Group, before: slice, held: slice, window: int, limits: list[int]
+    ) -> tuple[float, Array]:
         """Find the end of a press: before the next step elsewhere, or after it with that pattern fitted too."""
+        count = len(self.white)
         along = smooth(trace(self.white, before, held), window)
         end = end_of(along, group.frame, limits[0])
         for before_it, limit in pairwise(limits):
             if end < before_it - 1:
                 break
-            besides = [self._pattern(o) for o in self.groups if group.frame < o.frame < limit and not o.slow]
+            besides = [
+                difference(self.white, *rough(other.steps[0], other.limit(self.groups, count), count))
+                for other in self.groups
+                if group.frame < other.frame < limit and not other.slow
+            ]
             along = smooth(trace(self.white, before, held, besides), window)
             end = end_of(along, group.frame, limit)
         return end, along
 
-    def _pattern(self, group: Group) -> Array:
-        return difference(
-            self.white, *rough(group.changes[0], group.limit(self.groups, len(self.white)), len(self.white))
-        )
-
-    def _gain(self, change: Array) -> float:
+    def _find_common_gain(self, change: Array) -> float:
         """Return the common factor of all readings, if it explains a change as well as the best place."""
         power = float(self.no_loads.frame @ self.no_loads.frame)
         if power == 0:
@@ -304,11 +302,11 @@ def find_initial_loads(presses: Sequence[Press], n: int) -> tuple[list[Press], l
     All presses, with those steps as loads from frame 0 on, and the presses that remain undecided.
     """
     stays = [press.end >= n - 1 for press in presses]
-    signs = {_sign(press) for press, to_the_end in zip(presses, stays, strict=True) if not to_the_end}
+    signs = {_sign_of_first_load(press) for press, to_the_end in zip(presses, stays, strict=True) if not to_the_end}
     corrected: list[Press] = []
     unclear: list[Press] = []
     for press, to_the_end in zip(presses, stays, strict=True):
-        if to_the_end and signs == {-_sign(press)}:
+        if to_the_end and signs == {-_sign_of_first_load(press)}:
             places = tuple(replace(place, score=-place.score) for place in press.places)
             end = max(press.start, 0.0)
             corrected.append(Press(0.0, 0, end, press.held, press.before, places, press.score))
@@ -319,11 +317,11 @@ def find_initial_loads(presses: Sequence[Press], n: int) -> tuple[list[Press], l
     return corrected, unclear
 
 
-def _sign(press: Press) -> int:
+def _sign_of_first_load(press: Press) -> int:
     return 1 if press.places[0].score > 0 else -1
 
 
-def _unlike_a_load(white: Array, explained: float, before: slice, held: slice) -> str:
+def _explain_no_load(white: Array, explained: float, before: slice, held: slice) -> str:
     """Explain why a change is not a load if even the best places explain too little of it; empty otherwise."""
     noise, signal = noise_energy(white, before, held), signal_energy(white, before, held)
     per_reading = noise / white.shape[1]

@@ -123,17 +123,17 @@ def find_places(
         place_indices, explained = refined_indices, explained + gain
     places = _all_refined(change, match, place_indices)
     # With a single load, the remains of drift and of the sheet's own shape would be taken for another load.
-    while 1 < len(places) < most and (weak := _weak(change, match, places, noise)):
+    while 1 < len(places) < most and (weak := _find_weak_load(change, match, places, noise)):
         places.append(weak)
     explained = _fit_power(change, match, [place.index for place in places])
     return tuple(sorted(places, key=lambda place: -abs(place.score))), explained / total
 
 
-def _weak(change: Array, match: Matcher, places: list[Place], noise: float) -> Place | None:
+def _find_weak_load(change: Array, match: Matcher, places: list[Place], noise: float) -> Place | None:
     """Look again for a load of the same sign when stronger ones are taken out; None where none stands out."""
     strong_indices = [place.index for place in places]
     sign = np.sign(max(places, key=lambda place: abs(place.score)).score)
-    basis = np.linalg.qr(np.hstack([_surroundings(match, index) for index in strong_indices]))[0]
+    basis = np.linalg.qr(np.hstack([_span_surroundings(match, index) for index in strong_indices]))[0]
     residual = change - basis @ (basis.T @ change)
     patterns = match.patterns - basis @ (basis.T @ match.patterns)
     norms = np.linalg.norm(patterns, axis=0)
@@ -151,7 +151,7 @@ def _weak(change: Array, match: Matcher, places: list[Place], noise: float) -> P
     return replace(place, score=place.score / float(norms[best_index]))
 
 
-def _surroundings(match: Matcher, index: int) -> Array:
+def _span_surroundings(match: Matcher, index: int) -> Array:
     """Unit combinations (m, 6) of the patterns about a place that hold most of them."""
     near = np.hypot(*(match.places - match.places[index]).T) <= _TAKEN_OUT
     return np.linalg.svd(match.patterns[:, near], full_matrices=False)[0][:, :_TAKEN_PATTERNS]

@@ -25,8 +25,8 @@ from cbsr_qa.domain.sensor.sensor_type import SensorType
 #: Faster recordings are averaged to about this rate before detection; presses are slower.
 _DETECTION_RATE_HZ = 8.0
 FEWEST_FRAMES = 8  #: fewer frames cannot distinguish a press from noise
-_MOST_LISTED = 5  #: changes named in a reason
-_MOST_CONTACTS = 4  #: maximum number of repeated searches without a suspect's readings
+_MAX_LISTED_CHANGES = 5  #: changes named in a reason
+_MAX_SUSPECT_CONTACTS = 4  #: maximum number of repeated searches without a suspect's readings
 _SAME_CHANGE_S = 1.0  #: changes this close in time are one
 _FIRST_BALL = 0.1  #: initial radius of a ball in a tank, of the tank's
 _BALL_ROUNDS = 3  #: iterations over places and sizes of balls
@@ -124,7 +124,7 @@ class RecordedScene:
             objects, reason, remarks = self._still(changes, sigma)
             objects = self._correct_directions(objects)
         sightings = tuple(
-            self._object_seen(moving_object, changes, timed=rate_hz is not None) for moving_object in objects
+            self._make_object_sighting(moving_object, changes, timed=rate_hz is not None) for moving_object in objects
         )
         return Searched(sightings, reason, (*self.remarks, *remarks), scene=self)
 
@@ -175,7 +175,7 @@ class RecordedScene:
         Readings that share one contact and changed together are left out, and the others searched again.
         """
         scene, remarks, times, electrodes = self, list[str](), list[float](), set[int]()
-        for _ in range(_MOST_CONTACTS):
+        for _ in range(_MAX_SUSPECT_CONTACTS):
             searched, suspects = scene._search(rate_hz)
             bad_mask = np.zeros(scene.readings.shape[1], dtype=bool)
             for time_s, suspect in suspects:
@@ -213,18 +213,27 @@ class RecordedScene:
         white = match.whiten(changes)
         result, detected_changes = search(white, match, self._build_no_loads(match))
         presses, unclear = find_initial_loads(result.presses, len(white))
-        seen_loads = [
-            self._press_seen(press, place, times, readings, changes, goodness)
-            for press in presses
-            for goodness in (_goodness(match, white, press),)
-            for place in press.places
-        ]
+        seen_loads = []
+        for press in presses:
+            change = difference(white, press.before, press.held)
+            variance = noise_energy(white, press.before, press.held) / white.shape[1]
+            goodness = Goodness.from_fit(change, fit_loads(change, match, press.places), match.sigma, variance)
+            seen_loads += [
+                self._make_press_sighting(press, place, times, readings, changes, goodness) for place in press.places
+            ]
         sightings = tuple(sorted(seen_loads, key=lambda load: load.start_s))
-        remarks = (*_gains(result, times), *_signs(sightings, unclear, times))
+        remarks = (*_describe_gains(result, times), *_describe_signs(sightings, unclear, times))
         suspects = [(float(times[frame]), suspect) for frame, suspect in result.suspects]
-        reason = _describe_rejected(result, times) if detected_changes else _quiet(white @ match.patterns)
+        if detected_changes:
+            reason = _describe_rejected(result, times)
+        else:
+            step, needed = nearest_step(white @ match.patterns)
+            largest = f"the largest step is {step:.1f} times its noise, {needed:.1f} is needed"
+            reason = f"nothing stands out of the noise: {largest}"
         if not (reason or sightings or remarks):
-            change_times = ", ".join(f"{times[change.frame]:.1f} s" for change in detected_changes[:_MOST_LISTED])
+            change_times = ", ".join(
+                f"{times[change.frame]:.1f} s" for change in detected_changes[:_MAX_LISTED_CHANGES]
+            )
             reason = f"the changes (at {change_times}) only return to the initial state: no load is applied"
         return Searched(sightings, reason, remarks, scene=self), suspects
 
@@ -247,7 +256,7 @@ class RecordedScene:
         means = readings[:whole_groups_end].reshape(-1, group, readings.shape[1]).mean(axis=1)
         return times[:whole_groups_end].reshape(-1, group).mean(axis=1), means
 
-    def _press_seen(
+    def _make_press_sighting(
         self, press: Press, place: Place, times: Array, readings: Array, changes: Array, goodness: Goodness
     ) -> Sighting:
         index = np.arange(len(times))
@@ -264,7 +273,7 @@ class RecordedScene:
             goodness,
         )
 
-    def _object_seen(self, seen: Object, changes: Array, *, timed: bool) -> Sighting:
+    def _make_object_sighting(self, seen: Object, changes: Array, *, timed: bool) -> Sighting:
         times = self.ready.block.time_s
         track = tuple((float(times[k]), place.x, place.y) for k, place in seen.track)
         frames, peak_index = nearest_frames(changes, seen.peak) if timed else (changes[seen.peak][None], 0)
@@ -283,24 +292,13 @@ class RecordedScene:
         )
 
 
-def _goodness(match: Matcher, white: Array, press: Press) -> Goodness:
-    change = difference(white, press.before, press.held)
-    variance = noise_energy(white, press.before, press.held) / white.shape[1]
-    return Goodness.from_fit(change, fit_loads(change, match, press.places), match.sigma, variance)
-
-
-def _quiet(scores: Array) -> str:
-    step, needed = nearest_step(scores)
-    return f"nothing stands out of the noise: the largest step is {step:.1f} times its noise, {needed:.1f} is needed"
-
-
 def _describe_rejected(searched: Found, times: Array) -> str:
     reasons = [f"a change at {times[frame]:.1f} s is not an event: {why}" for frame, why in sorted(searched.rejected)]
-    more = f"; and {len(reasons) - _MOST_LISTED} more like these" if len(reasons) > _MOST_LISTED else ""
-    return "; ".join(reasons[:_MOST_LISTED]) + more
+    more = f"; and {len(reasons) - _MAX_LISTED_CHANGES} more like these" if len(reasons) > _MAX_LISTED_CHANGES else ""
+    return "; ".join(reasons[:_MAX_LISTED_CHANGES]) + more
 
 
-def _gains(searched: Found, times: Array) -> list[str]:
+def _describe_gains(searched: Found, times: Array) -> list[str]:
     """Report moments at which all readings changed in proportion."""
     return [
         f"all readings changed in proportion, by {share:+.1%}, at {times[frame]:.1f} s: a gain or the drive current,"
@@ -309,7 +307,7 @@ def _gains(searched: Found, times: Array) -> list[str]:
     ]
 
 
-def _signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
+def _describe_signs(sightings: tuple[Sighting, ...], unclear: list[Press], times: Array) -> list[str]:
     """Describe ambiguities in the signs of the loads."""
     remarks = []
     if len({load.sign for load in sightings}) > 1:

@@ -122,13 +122,13 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
         if after[0] - before[0] > _BRIDGED_FRAMES + 1:
             stretches.append([])
         stretches[-1].append(after)
-    return tuple(_object(stretch, changes, match) for stretch in stretches), ""
-
-
-def _object(stretch: list[tuple[int, Place]], changes: Array, match: Matcher) -> Object:
-    peak, place = max(stretch, key=lambda seen: abs(seen[1].score))
-    goodness = Goodness.from_fit(changes[peak], fit_loads(changes[peak], match, (place,)), match.sigma, 1.0)
-    return Object(stretch[0][0], stretch[-1][0], peak, place, abs(place.score), tuple(stretch), goodness)
+    objects = []
+    for stretch in stretches:
+        peak, place = max(stretch, key=lambda detection: abs(detection[1].score))
+        goodness = Goodness.from_fit(changes[peak], fit_loads(changes[peak], match, (place,)), match.sigma, 1.0)
+        first, last = stretch[0][0], stretch[-1][0]
+        objects.append(Object(first, last, peak, place, abs(place.score), tuple(stretch), goodness))
+    return tuple(objects), ""
 
 
 _DEPTHS: Final = (0.3, 5.0)  # in radii: shallower is a sheet, deeper makes no difference

@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.relaxation import RelaxationKernel
 from cbsr_qa.domain.sensor.sensor_type import StripRelaxation
 
 #: Fewest points of a trace that are fitted.
-_FEWEST: Final = 5
+_MIN_POINTS: Final = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -99,10 +99,12 @@ def _sheet_against_strip(run: RunObservation) -> tuple[DirectedAgreement, ...]:
             _refuse_agreement(loading, f"the sheet has no relaxation: {force.why}") for loading in (True, False)
         )
     model = force.learned.model
-    return _against(run, force, strip, model.loading, True), _against(run, force, strip, model.unloading, False)
+    return _compare_with_strip(run, force, strip, model.loading, True), _compare_with_strip(
+        run, force, strip, model.unloading, False
+    )
 
 
-def _against(
+def _compare_with_strip(
     run: RunObservation, force: RunForce, strip: StripRelaxation, kernel: RelaxationKernel | None, loading: bool
 ) -> DirectedAgreement:
     window = _window_s(run, force.used, loading)
@@ -135,7 +137,7 @@ def _window_s(run: RunObservation, loads: Sequence[LoadObservation], loading: bo
             (record.hold_start_s, record.release_start_s) if loading else (record.unloaded_s, record.rest_end_s)
         )
         frames = frames_of(run, load, start_s, end_s)
-        if frames is not None and len(frames) >= _FEWEST:
+        if frames is not None and len(frames) >= _MIN_POINTS:
             ends.append((float(frames.time_s[0]) - start_s, float(frames.time_s[-1]) - start_s))
     if not ends:
         return None
@@ -154,7 +156,10 @@ def _measure_relaxation(loads: Sequence[LoadObservation], signal: str, loading: 
         (curve.trace.time_s[start:], curve.trace.values[start:]) for curve, start in zip(curves, starts, strict=True)
     ]
     window_s = max(float(time_s[-1]) for time_s, _ in traces)
-    change = None if loading else float(np.mean([_end(load, signal) for load in loads]))
+    change = None
+    if not loading:
+        holds = [load.relaxation(signal, loading=True) for load in loads]
+        change = float(np.mean([0.0 if hold is None else hold.trace.end_level for hold in holds]))
     start_s = min(float(time_s[0]) for time_s, _ in traces)
     return MeasuredRelaxation(fit_common_relaxation(traces), window_s, change, start_s)
 
@@ -162,9 +167,4 @@ def _measure_relaxation(loads: Sequence[LoadObservation], signal: str, loading: 
 def _find_relaxation(load: LoadObservation, signal: str, loading: bool) -> RelaxationObservation | None:
     """The relaxation of a signal, None if it is too short."""
     relaxation = load.relaxation(signal, loading=loading)
-    return None if relaxation is None or len(relaxation.trace.values) < _FEWEST else relaxation
-
-
-def _end(load: LoadObservation, signal: str) -> float:
-    hold_relaxation = load.relaxation(signal, loading=True)
-    return 0.0 if hold_relaxation is None else hold_relaxation.trace.end_level
+    return None if relaxation is None or len(relaxation.trace.values) < _MIN_POINTS else relaxation

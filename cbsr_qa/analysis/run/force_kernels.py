@@ -31,7 +31,7 @@ LoadKey = tuple[str, int]
 
 #: Least detectability of a load that is used: weaker ones contribute little to a shape and cost as much time.
 _LEAST_DETECTABILITY: Final = 15.0
-_MOST: Final = 60
+_MAX_LOADS: Final = 60
 #: Time constant with which residues of earlier loads decay to their share at the steady frames: of the order of the
 #: material's own (chosen by us).
 _FADING_S: Final = 25.0
@@ -52,7 +52,7 @@ def force_kernels(
     Both; None for short holds, weak loads, or relaxation that cannot be separated from drift.
     """
     traces = StrengthTraces(run, dict(zip(map(key_of, loads), places_mm, strict=True)), merging, filter_)
-    clearest_loads = sorted(loads, key=traces.detectability, reverse=True)[:_MOST]
+    clearest_loads = sorted(loads, key=traces.detectability, reverse=True)[:_MAX_LOADS]
     clearest_loads = [load for load in clearest_loads if traces.detectability(load) >= _LEAST_DETECTABILITY]
     if not clearest_loads:
         return None, None
@@ -89,7 +89,9 @@ class StrengthTraces:
 
     def loading(self, loads: Sequence[LoadObservation]) -> RelaxationKernel | None:
         noises = [self.hold_trace(load)[2] for load in loads]
-        return _usable([self.change(load) for load in loads], [ramp_s(load) for load in loads], noises, None, 0.0)
+        return _learn_usable_kernel(
+            [self.change(load) for load in loads], [ramp_s(load) for load in loads], noises, None, 0.0
+        )
 
     def change(self, load: LoadObservation) -> TimedValues:
         """Times from the start of the hold [s], and strengths under it without residues of earlier loads."""
@@ -112,13 +114,13 @@ class StrengthTraces:
             return None
         sign = np.sign(np.mean(released))
         starts = [float(times[relaxation_start(sign * values)]) for times, values in traces]
-        return _usable(traces, ramps, noises, released, float(np.median(starts)))
+        return _learn_usable_kernel(traces, ramps, noises, released, float(np.median(starts)))
 
     def _trace(self, load: LoadObservation, from_s: float, to_s: float) -> tuple[Array, Array, float]:
         frames = frames_of(self._run, load, from_s, to_s)
         if frames is None or not len(frames):
             return np.zeros(0), np.zeros(0), 1.0
-        matches = self._strengths(load, frames)
+        matches = self._match_strengths(load, frames)
         return frames.time_s - from_s, matches.strength, float(np.sqrt(matches.covariance[0, 0, 0]))
 
     def hold_trace(self, load: LoadObservation) -> tuple[Array, Array, float]:
@@ -133,13 +135,11 @@ class StrengthTraces:
     def residue(self, load: LoadObservation) -> float:
         """Strength at the place just before the press."""
         frames_before = window_of(self._run, load).before
-        return float(self._strengths(load, frames_before).strength.mean()) if len(frames_before) else 0.0
+        return float(self._match_strengths(load, frames_before).strength.mean()) if len(frames_before) else 0.0
 
-    def _strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
-        return self._filter.match_at(self._rows(frames), self._places_mm[key_of(load)])
-
-    def _rows(self, frames: FrameBlock) -> Array:
-        return (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
+    def _match_strengths(self, load: LoadObservation, frames: FrameBlock) -> Matches:
+        rows = (frames.voltages - self._run.reference)[:, self._run.usable] @ self._merging.T
+        return self._filter.match_at(rows, self._places_mm[key_of(load)])
 
 
 def ramp_s(load: LoadObservation) -> float:
@@ -147,7 +147,7 @@ def ramp_s(load: LoadObservation) -> float:
     return max(load.record.unloaded_s - load.record.release_start_s, 0.0)
 
 
-def _usable(
+def _learn_usable_kernel(
     traces: Sequence[tuple[Array, Array]],
     ramps: Sequence[float],
     noises: Sequence[float],
@@ -257,14 +257,9 @@ def _predict_rows(
     last_frames = slice(-int(data.frames[k]), None)
     fade = float(fading[last_frames].mean())
     window = float(strength[last_frames].mean()) - residue * fade
-    factor = _within(float(prediction.values[0]), window)
+    factor = _limit_rise(float(prediction.values[0]), window)
     rows: Array = factor * (data.rows[k] - fade * data.before[k]) + RESIDUE_SHARE * data.before[k]
     return rows, float((noise / prediction.stderr[0]) ** 2)
-
-
-def _within(predicted: float, seen: float) -> float:
-    """Limit the scale of readings: no load may seem to rise or fall by more than its noise."""
-    return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0
 
 
 def _force_trace(run: RunObservation, load: LoadObservation) -> tuple[Array, Array, float]:
@@ -309,3 +304,8 @@ def _predict_force(
         raise NumericsError(f"no force was recorded under load {load.record.load.label} of phase {load.phase!r}")
     prediction = predict_steady(times, values, noise, kernel, ramp_s=ramp_s(load), frame_s=_BIN_S, at_s=at_s)
     return float(prediction.values[0]), float(prediction.stderr[0])
+
+
+def _limit_rise(predicted: float, seen: float) -> float:
+    """Limit the scale of readings: no load may seem to rise or fall by more than its noise."""
+    return float(np.clip(predicted / seen, 1 / LARGEST_FACTOR, LARGEST_FACTOR)) if seen else 1.0

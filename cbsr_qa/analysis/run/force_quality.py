@@ -108,8 +108,13 @@ def tests_of(run: RunObservation, force: RunForce, how: str) -> tuple[ForceTest,
 def errors_of(tests: Sequence[ForceTest], *, known: bool) -> ForceErrors:
     """Return the errors with the place given, or estimated."""
     estimated = tuple(test for test in tests if known or test.found_N is not None)
-    estimate = np.array([test.known_N if known else test.found_N or 0.0 for test in estimated])
-    stated = np.array([_test_stderr_N(test, known=known) for test in estimated])
+    if known:
+        estimate = np.array([test.known_N for test in estimated])
+        stated = np.array([test.known_stderr_N for test in estimated])
+    else:
+        estimate = np.array([test.found_N or 0.0 for test in estimated])
+        errors = [(test.found_stderr_N or 0.0, test.load.force_stderr_N or 0.0) for test in estimated]
+        stated = np.array([float(np.hypot(found_N, measured_N)) for found_N, measured_N in errors])
     measured = np.array([test.measured_N for test in estimated])
     return ForceErrors(estimated, len(tests) - len(estimated), estimate - measured, stated)
 
@@ -259,9 +264,3 @@ def _steady_share(
     return Estimate(
         fitted_share.value, float(np.hypot(fitted_share.stderr or 0.0, of_residues)), fitted_share.degrees
     )
-
-
-def _test_stderr_N(test: ForceTest, *, known: bool) -> float:
-    if known:
-        return test.known_stderr_N
-    return float(np.hypot(test.found_stderr_N or 0.0, test.load.force_stderr_N or 0.0))

@@ -215,18 +215,14 @@ def _press_and_release(
     press_fit = _fit_trace(signal, held_trace, settings, loaded_change=None, steady=held_trace.end_level)
     if len(released_trace.time_s) == 0:
         return [press_fit]
-    steady_change, start = _steady_change(press_fit), relaxation_start(released_trace.values)
+    # The steady change under load is that of an accepted fit, else the observed end of the hold.
+    has_settled = press_fit.settling.value_s is not None and not press_fit.settling.censored
+    steady_change = press_fit.fit.offset if has_settled else press_fit.trace.end_level
+    start = relaxation_start(released_trace.values)
     return [
         press_fit,
         _fit_trace(signal, released_trace, settings, loaded_change=steady_change, steady=steady_change, start=start),
     ]
-
-
-def _steady_change(pressed: RelaxationObservation) -> float:
-    """Steady change under load: from an accepted fit, else the observed end of the hold."""
-    if pressed.settling.value_s is not None and not pressed.settling.censored:
-        return pressed.fit.offset
-    return pressed.trace.end_level
 
 
 def _fit_trace(

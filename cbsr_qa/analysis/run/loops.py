@@ -44,7 +44,7 @@ def observe_loops(
         for loop in phase.loops:
             places[(loop.load.label, loop.load.x_mm, loop.load.y_mm)].append(loop)
         for loops in places.values():
-            loops_of_places.append(_observe(phase, tuple(loops), unloaded, usable, record.indenter, settings))
+            loops_of_places.append(_observe_loops(phase, tuple(loops), unloaded, usable, record.indenter, settings))
     return tuple(loops_of_places)
 
 
@@ -60,7 +60,7 @@ def deepest_hold(record: LoadRecord) -> LoadRecord:
     return replace(record, load=load, hold_start_s=hold.start_s, release_start_s=hold.end_s, eased=())
 
 
-def _observe(
+def _observe_loops(
     phase: PhaseRecord,
     loops: tuple[LoadRecord, ...],
     unloaded: FrameBlock,
@@ -69,23 +69,25 @@ def _observe(
     settings: AnalysisSettings,
 ) -> LoopObservation:
     samples = phase.channel("force")
-    no_force = _why_no_force(samples, loops)
+    # Of the strains that were held, the first at which the cell was at its limit.
+    holds = [replace(loop, hold_start_s=h.start_s, release_start_s=h.end_s) for loop in loops for h in loop.held]
+    no_force = next((reason for hold in holds if (reason := describe_cell_limit(samples, hold))), "")
     stress = None if no_force else _stress(samples, loops, indenter)
     first_s, last_s = loops[0].press_start_s, loops[-1].rest_end_s
     if phase.frames is None:
-        return _nothing(phase, loops, stress, no_force, _FRAMELESS)
+        return _make_empty_loop(phase, loops, stress, no_force, _FRAMELESS)
     frames_before = _frames_before(phase, phase.frames, first_s, settings.reference_frames)
     frames_during = phase.frames.select_interval(first_s, last_s)
     if not len(frames_before) or not all(
         len(frames_during.select_interval(h.start_s, h.end_s)) for cycle in loops for h in cycle.held
     ):
-        return _nothing(phase, loops, stress, no_force, _FRAMELESS)
+        return _make_empty_loop(phase, loops, stress, no_force, _FRAMELESS)
     noise = unloaded.voltages[:, usable].std(axis=0, ddof=1)
     scale = 1 / np.sqrt(noise**2 + np.mean(noise**2)) if noise.any() else np.ones(len(noise))
     rows = (frames_during.voltages[:, usable] - frames_before.voltages[:, usable].mean(axis=0)) * scale
     pattern = _pattern(rows, frames_during.time_s, loops)
     if not pattern.any():
-        return _nothing(phase, loops, stress, no_force, _SILENT)
+        return _make_empty_loop(phase, loops, stress, no_force, _SILENT)
     output = _amplitudes(rows, pattern)
     deepest_mask = np.zeros(len(output), dtype=np.bool_)
     for loop in loops:
@@ -101,17 +103,11 @@ def _observe(
     return LoopObservation(phase.name, loops, trace, spread / unit, stress, no_force, reason)
 
 
-def _nothing(
+def _make_empty_loop(
     phase: PhaseRecord, loops: tuple[LoadRecord, ...], stress: Trace | None, no_force: str, why: str
 ) -> LoopObservation:
     empty = Trace("output", "1", np.zeros(0), np.zeros(0))
     return LoopObservation(phase.name, loops, empty, 0.0, stress, no_force, why)
-
-
-def _why_no_force(samples: SampleBlock | None, loops: tuple[LoadRecord, ...]) -> str:
-    """Report that the cell was at its limit while one of the strains was held."""
-    holds = [replace(loop, hold_start_s=h.start_s, release_start_s=h.end_s) for loop in loops for h in loop.held]
-    return next((reason for hold in holds if (reason := describe_cell_limit(samples, hold))), "")
 
 
 def _frames_before(phase: PhaseRecord, frames: FrameBlock, press_s: float, count: int) -> FrameBlock:

@@ -26,11 +26,10 @@ from cbsr_qa.analysis.run.reference import (
     usable_data,
 )
 from cbsr_qa.domain.geometry.footprints import Footprint
-from cbsr_qa.domain.imaging import ImagingProblem, linear
+from cbsr_qa.domain.imaging import linear
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
 from cbsr_qa.domain.plan.steps import Role
-from cbsr_qa.domain.readings.frames import FrameBlock
 from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.observation import LoadObservation, MetricTimeline, RunObservation
 from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
@@ -99,7 +98,8 @@ def observe_run(
     if answering is not data:
         data = answering
         problem, silent_remarks = linearise_sheet(data, unloaded, settings)
-    imager = _imager(problem, for_reference, reconstruction)
+    reference = for_reference.voltages.mean(axis=0)
+    imager = Imager(linear(reconstruction.prepare(problem)), reference, scale_of(reference, problem))
     noise_images = imager.images(for_noise)
     floor = noise_floor(noise_images)
     phases = data.record.phases
@@ -114,7 +114,7 @@ def observe_run(
     loads = tuple(observe_load(setting, phase, load, window) for phase, load, window in cut)
     timelines: tuple[MetricTimeline, ...] = ()
     if over_time:
-        loads, timelines = _over_time(setting, data.record, cut, loads)
+        loads, timelines = _add_time_courses(setting, data.record, cut, loads)
     observation = RunObservation(
         record=data.corrected,
         reconstruction=imager.reconstruction,
@@ -139,7 +139,7 @@ def observe_run(
     return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent_remarks, *doubts, *remarks))
 
 
-def _over_time(
+def _add_time_courses(
     setting: LoadSetting,
     record: RunRecord,
     cut: Sequence[tuple[PhaseRecord, LoadRecord, LoadWindow]],
@@ -152,11 +152,6 @@ def _over_time(
         for load, (phase, _, window) in zip(loads, cut, strict=True)
     ]
     return tuple(relaxed), timelines
-
-
-def _imager(problem: ImagingProblem, for_reference: FrameBlock, reconstruction: Reconstruction) -> Imager:
-    reference = for_reference.voltages.mean(axis=0)
-    return Imager(linear(reconstruction.prepare(problem)), reference, scale_of(reference, problem))
 
 
 def _remarks(loads: tuple[LoadObservation, ...], multiple: float | None) -> tuple[str, ...]:

@@ -7,7 +7,7 @@ import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.geometry.footprints import RoundFootprint, overlap_mm2
-from cbsr_qa.domain.imaging import Image, ImagingProblem, PreparedReconstruction
+from cbsr_qa.domain.imaging import Image, PreparedReconstruction
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.eit.imaging.blobs import nearest_blob
 from cbsr_qa.eit.imaging.contours import contour_regions
@@ -16,7 +16,7 @@ from cbsr_qa.eit.imaging.contours import contour_regions
 FLAT: Final = 0.25
 #: Diameters of the targets, relative to the head's: 8, 13 and 20 mm for the 13 mm head.
 RELATIVE_DIAMETERS: Final = (8 / 13, 1.0, 20 / 13)
-_OUT: Final = 0.6  # of the radius: 30 mm on the 100 mm disc, as the paper's outer locations
+_OUT_RADII: Final = 0.6  # of the radius: 30 mm on the 100 mm disc, as the paper's outer locations
 _CONTRAST: Final = 0.05
 _HIGHEST_MASK: Final = 0.99  # a contour at the maximum itself encloses nothing
 
@@ -81,18 +81,19 @@ def size_response(
         raise NumericsError(f"a size response needs a head of a positive diameter, not {head_diameter_mm:g} mm")
     diameters = tuple(head_diameter_mm * relative for relative in RELATIVE_DIAMETERS)
     problem = prepared.problem
-    centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT * problem.sensor_type.radius_mm
+    centre, out_mm = problem.sensor_type.outline.centre_mm, _OUT_RADII * problem.sensor_type.radius_mm
     places = (("centre", centre), (f"{out_mm:.3g} mm out", (centre[0] + out_mm, centre[1])))
-    responses = tuple(
-        SizeResponse(place_words, diameters, tuple(_area(prepared, place, diameter, mask) for diameter in diameters))
-        for place_words, place in places
-        if _on_sheet(problem, place, diameters[-1])
-    )
+    responses = []
+    for place_words, place in places:
+        largest = RoundFootprint(*place, diameters[-1] / 2)
+        if float(overlap_mm2(largest, problem.mesh.corners_mm).sum()) > 0.99 * largest.area_mm2:
+            areas = tuple(_measure_area(prepared, place, diameter, mask) for diameter in diameters)
+            responses.append(SizeResponse(place_words, diameters, areas))
     if not responses:
         raise NumericsError(
             f"a target of {diameters[-1]:.3g} mm fits neither the centre of the sheet nor 0.6 radii out"
         )
-    return responses
+    return tuple(responses)
 
 
 def size_response_of(run: RunObservation) -> tuple[SizeResponse, ...]:
@@ -101,7 +102,7 @@ def size_response_of(run: RunObservation) -> tuple[SizeResponse, ...]:
     return size_response(run.reconstruction, head_diameter_mm=run.record.indenter.diameter_mm, mask=mask)
 
 
-def _area(
+def _measure_area(
     prepared: PreparedReconstruction, place: tuple[float, float], diameter_mm: float, mask: float
 ) -> float | None:
     problem = prepared.problem
@@ -109,8 +110,3 @@ def _area(
     image = prepared.images((problem.jacobian @ (_CONTRAST * share))[None])[0]
     region = nearest_blob(contour_regions(Image(problem.mesh, image), mask), *place)
     return None if region is None else region.area_mm2
-
-
-def _on_sheet(problem: ImagingProblem, place: tuple[float, float], diameter_mm: float) -> bool:
-    target = RoundFootprint(*place, diameter_mm / 2)
-    return float(overlap_mm2(target, problem.mesh.corners_mm).sum()) > 0.99 * target.area_mm2

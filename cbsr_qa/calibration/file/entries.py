@@ -14,7 +14,6 @@ from cbsr_qa.domain.results.calibration import Calibration, ForceModel, LoadRela
 from cbsr_qa.domain.results.learned_place import LearnedPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.press_calibration import PressCalibration
-from cbsr_qa.domain.results.relaxation import RelaxationKernel
 from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout, Electrodes, PlacedElectrodes
 from cbsr_qa.domain.sensor.mesh import (
     INTEGERS as MESH_INTEGERS,
@@ -26,7 +25,7 @@ from cbsr_qa.domain.sensor.mesh import (
 from cbsr_qa.domain.sensor.sensor_type import GivenMesh
 
 #: Templates have unit length, apart from rounding.
-_UNIT: Final = 1e-3
+_LENGTH_TOLERANCE: Final = 1e-3
 
 _WHY_NOT: Final = "force/none"
 
@@ -159,7 +158,7 @@ def _calibration(entries: Mapping[str, Entry]) -> Calibration:
     for problem in problems(calibration, ""):
         raise CalibrationError(problem)
     if calibration.force is not None:
-        for problem in _force_problems(calibration.force):
+        for problem in _list_force_problems(calibration.force):
             raise CalibrationError(problem)
         if calibration.place is not None:
             rows = calibration.force.merging.shape[0]
@@ -279,7 +278,7 @@ def _check_usable(calibration: Calibration) -> None:
         raise CalibrationError("reference/current or indenter is not a positive number")
 
 
-def _force_problems(model: ForceModel) -> Iterator[str]:
+def _list_force_problems(model: ForceModel) -> Iterator[str]:
     nodes_on_sheet = model.node[model.node >= 0]
     if (model.node < -1).any() or not np.array_equal(np.sort(nodes_on_sheet), np.arange(len(model.templates))):
         yield f"force/node does not name each of {len(model.templates)} templates once, and −1 elsewhere"
@@ -290,15 +289,13 @@ def _force_problems(model: ForceModel) -> Iterator[str]:
         yield "force/turning is not positive definite somewhere: no place could be found there"
     if not model.lattice.spacing_mm > 0:
         yield f"force/lattice/spacing of {model.lattice.spacing_mm:g} mm is not positive"
-    if not np.allclose(np.linalg.norm(model.templates, axis=1), 1, rtol=0, atol=_UNIT):
+    if not np.allclose(np.linalg.norm(model.templates, axis=1), 1, rtol=0, atol=_LENGTH_TOLERANCE):
         yield "force/templates are not of the length one"
     if not (model.threshold > 0 and model.misfit > 0 and 0 <= model.stress_kPa[0] <= model.stress_kPa[1]):
         yield "force/threshold, force/misfit or force/stress is out of range"
     for name, kernel in (("loading", model.loading), ("unloading", model.unloading)):
-        if kernel is not None and not _rises(kernel):
+        if kernel is None:
+            continue
+        tau_s = kernel.time_constants_s
+        if not ((tau_s > 0).all() and (np.diff(tau_s) > 0).all() and kernel.scatter_freedom > 0):
             yield f"force/{name} holds time constants that are not positive and rising, or no freedom"
-
-
-def _rises(kernel: RelaxationKernel) -> bool:
-    tau = kernel.time_constants_s
-    return bool((tau > 0).all() and (np.diff(tau) > 0).all() and kernel.scatter_freedom > 0)

@@ -92,8 +92,12 @@ class Codec:
             path, group = _place(field, within, PURE)[0], group_of(field.hint)
             if group is not None:
                 columns[field.name] = list(self.read_list(read, group, path, above))
-            elif not (field.kept.not_kept or (field.is_left_out(field.default) and not read.has(path))):
-                columns[field.name] = _list(read, field, path)
+            elif field.kept.not_kept or (field.is_left_out(field.default) and not read.has(path)):
+                continue
+            elif field.hint in _LISTS:
+                columns[field.name] = _LISTS[field.hint](read, path)
+            else:
+                columns[field.name] = [field.hint(word) for word in read.texts(path)]
         for row in zip(*columns.values(), strict=True):
             yield of(**shared, **dict(zip(columns, row, strict=True)))
 
@@ -116,12 +120,12 @@ def problems(value: Any, within: str) -> Iterator[str]:
             }
         elif content is not None and not field.kept.not_kept:
             if field.kept.limited:
-                yield from _beyond(field.kept, path, np.asarray(content))
+                yield from _list_values_beyond(field.kept, path, np.asarray(content))
             if field.kept.dims:
-                yield from _misshapen(field, path, np.shape(content), lengths)
+                yield from _check_shape(field, path, np.shape(content), lengths)
 
 
-def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
+def _list_values_beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
     least, most = kept.least, kept.most
     if not np.isfinite(values).all():
         yield f"{path} holds a value that is not a finite number"
@@ -134,7 +138,7 @@ def _beyond(kept: Kept, path: str, values: NDArray[Any]) -> Iterator[str]:
         yield f"{path} is negative somewhere"
 
 
-def _misshapen(field: KeptField, path: str, shape: tuple[int, ...], lengths: dict[str, int]) -> Iterator[str]:
+def _check_shape(field: KeptField, path: str, shape: tuple[int, ...], lengths: dict[str, int]) -> Iterator[str]:
     """Compare a shape with the known lengths of axes, and add new ones."""
     names = field.kept.dims.split()
     if len(names) != len(shape):
@@ -220,12 +224,6 @@ def _value(read: Reading, field: KeptField, path: str) -> Any:
     if field.kept.single or field.kept.shortest:
         return read.array(path, np.float32).astype(np.float64) if field.kept.single else read.either(path)
     return _VALUES[field.hint](read, path) if field.hint in _VALUES else field.hint(read.text(path))
-
-
-def _list(read: Reading, field: KeptField, path: str) -> Sequence[Any]:
-    if field.hint in _LISTS:
-        return _LISTS[field.hint](read, path)
-    return [field.hint(word) for word in read.texts(path)]
 
 
 def _rows(table: NDArray[Any]) -> tuple[tuple[Any, Any], ...]:

@@ -139,13 +139,13 @@ def read_calibration(path: Path) -> Calibration:
         If it does not exist, is truncated, edited since issue, of a later version, or not a run's calibration.
     """
     issued = read_issued(path)
-    with _naming(path):
+    with _name_file_in_errors(path):
         return require_run_calibration(issued)
 
 
 def read_issued(path: Path) -> Issued:
     """Read a calibration file, of a run or of labelled presses. CalibrationError if it is not sound."""
-    with _naming(path):
+    with _name_file_in_errors(path):
         return replace(_decode_file(file_bytes(path)), file=b"")  # a robot does not need megabytes of it
 
 
@@ -194,7 +194,7 @@ def read_in_child(path: Path, read: Callable[[], _Result]) -> _Result:
 
 def verify_calibration_file(path: Path) -> VerifiedFile:
     """Check digest and schema of a calibration file; refused as by :func:`read_calibration`."""
-    with _naming(path):
+    with _name_file_in_errors(path):
         entries, digest, checked, signature = _read(file_bytes(path))
         decode(entries)
         version = schema_version(entries)
@@ -242,10 +242,11 @@ def _read(data: bytes) -> tuple[dict[str, Entry], str, bool, Signature | None]:
     checked = _check_bytes(data)
     try:
         with h5py.File(h5py.h5f.open_file_image(data), "r") as file:
-            format_, version = _version(file)
+            format_, version = _read_version(file)
             items = members(file, len(data), MOST_ENTRIES)
             entries = {path: _entry(path, item) for path, item in items if isinstance(item, h5py.Dataset)}
-            stated_digest = _read_stated_digest(file)
+            stated = attribute(file, "digest")
+            stated_digest = stated if isinstance(stated, str) and _DIGEST.fullmatch(stated) else ""
             signature_parts = {name: attribute(file, name) for name in SIGNATURE if name in file.attrs}
     except (OSError, RuntimeError, KeyError, ValueError, TypeError) as error:
         raise CalibrationError(f"{_NOT_WHOLE}: {error}", remedy=_COPY_AGAIN) from error
@@ -309,13 +310,7 @@ def printable(text: str) -> str:
     return "".join(character if character.isprintable() else "\N{REPLACEMENT CHARACTER}" for character in text)
 
 
-def _read_stated_digest(file: h5py.File) -> str:
-    """Return the digest stated in a file; empty if it is not one."""
-    digest = attribute(file, "digest")
-    return digest if isinstance(digest, str) and _DIGEST.fullmatch(digest) else ""
-
-
-def _version(file: h5py.File) -> tuple[str, int]:
+def _read_version(file: h5py.File) -> tuple[str, int]:
     stated_format = attribute(file, "format")
     if not (isinstance(stated_format, str) and stated_format in (FORMAT, PRESS_FORMAT)):
         raise CalibrationError("an HDF5 file, but not a calibration", remedy="give a file that `cbsr-qa run` issued")
@@ -346,7 +341,7 @@ def _entry(path: str, dataset: h5py.Dataset) -> Entry:
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def _name_file_in_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except RefusedError as error:

@@ -46,14 +46,14 @@ from cbsr_qa.system.json_text import parse_json
 _KEYS: Final = frozenset({"format", "schema_version", "digest", "signature", "datasets"})
 _DATASET_KEYS: Final = frozenset({"units", "kind", "shape"})
 #: Largest number of dimensions of an array: numpy has no more.
-_MOST_AXES: Final = 32
-_LONGEST_QUOTE: Final = 60
+_MAX_AXES: Final = 32
+_MAX_QUOTE_LENGTH: Final = 60
 _AS_WRITTEN: Final = "use the file as it was written"
 #: Largest number of values that are written as text; larger arrays are written as bytes.
 _SPELT_OUT: Final = 256
 #: Largest number of lists, objects and their items; each takes some hundred bytes of memory when parsed. Of a run, a
 #: calibration has five thousand, and one of 20 000 presses whose labels were left out some sixty thousand.
-_MOST_VALUES: Final = 250_000
+_MAX_VALUES: Final = 250_000
 _KINDS: Final[Mapping[str, Any]] = {"f8": np.float64, "f4": np.float32, "i8": np.int64, "u1": np.bool_}
 
 
@@ -75,11 +75,16 @@ def dataset(entry: Entry, *, spelt_out: int = _SPELT_OUT) -> dict[str, Any]:
         return {"units": entry.units, "kind": "text", "shape": [], "values": [entry.value]}
     if isinstance(entry.value, tuple):
         return {"units": entry.units, "kind": "text", "shape": [len(entry.value)], "values": list(entry.value)}
-    kind, values = _kind(entry.value), entry.value
+    values = entry.value.astype("u1") if entry.value.dtype == np.bool_ else entry.value
+    kind = str(values.dtype.str[1:])
     described = {"units": entry.units, "kind": kind, "shape": list(values.shape)}
     if values.size > spelt_out or np.isinf(values).any():  # JSON has no infinity
-        return {**described, "base64": base64.b64encode(_bytes(values, kind)).decode()}
-    return {**described, "values": [_number(value) for value in values.ravel().tolist()]}
+        return {**described, "base64": base64.b64encode(values.astype(f"<{kind}").tobytes()).decode()}
+    numbers = values.ravel().tolist()  # JSON has no NaN
+    return {
+        **described,
+        "values": [None if isinstance(value, float) and np.isnan(value) else value for value in numbers],
+    }
 
 
 def read_json_calibration(path: Path) -> Issued:
@@ -90,14 +95,14 @@ def read_json_calibration(path: Path) -> Issued:
     CalibrationError
         If it does not exist, is not a calibration in JSON, edited since it was written, or of a later version.
     """
-    with _naming(path):
+    with _name_file_in_errors(path):
         entries, digest, signature = _read(path)
         return replace(decode(entries), digest=digest, record_digest=record_digest(entries), signature=signature)
 
 
 def verify_json_calibration(path: Path) -> VerifiedFile:
     """Check digest and schema of a calibration in JSON; refused as by :func:`read_json_calibration`."""
-    with _naming(path):
+    with _name_file_in_errors(path):
         entries, digest, signature = _read(path)
         decode(entries)
         version = schema_version(entries)
@@ -105,7 +110,7 @@ def verify_json_calibration(path: Path) -> VerifiedFile:
 
 
 @contextmanager
-def _naming(path: Path) -> Iterator[None]:
+def _name_file_in_errors(path: Path) -> Iterator[None]:
     try:
         yield
     except CalibrationError as error:
@@ -157,8 +162,8 @@ def _signature(document: dict[str, Any]) -> Signature | None:
 
 def _document(path: Path) -> dict[str, Any]:
     data = file_bytes(path)
-    if sum(map(data.count, (b",", b"[", b"{"))) > _MOST_VALUES:
-        raise CalibrationError(f"JSON of more than {_MOST_VALUES} values: too many for a calibration")
+    if sum(map(data.count, (b",", b"[", b"{"))) > _MAX_VALUES:
+        raise CalibrationError(f"JSON of more than {_MAX_VALUES} values: too many for a calibration")
     try:
         document = parse_json(data)
     except ValueError as error:
@@ -169,7 +174,7 @@ def _document(path: Path) -> dict[str, Any]:
 def _entry(path: str, stated: object) -> Entry:
     """Return one dataset. CalibrationError, naming path and key, for any value that is not of the exact type."""
     if path.count("/") > DEEPEST or not path.isprintable():
-        raise CalibrationError(f"{path[:_LONGEST_QUOTE]!r} is not a name of a dataset", remedy=_AS_WRITTEN)
+        raise CalibrationError(f"{path[:_MAX_QUOTE_LENGTH]!r} is not a name of a dataset", remedy=_AS_WRITTEN)
     if not isinstance(stated, dict):
         raise CalibrationError(f"{path} is {_quote(stated)}, not a dataset")
     value_keys = {"values", "base64"} & stated.keys()
@@ -185,7 +190,7 @@ def _entry(path: str, stated: object) -> Entry:
         isinstance(kind, str) and (kind in _KINDS or kind == TEXT), path, "kind", kind, ", ".join([*_KINDS, TEXT])
     )
     is_shape = isinstance(shape, list) and all(type(length) is int and length >= 0 for length in shape)
-    _require(is_shape and len(shape) <= _MOST_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
+    _require(is_shape and len(shape) <= _MAX_AXES, path, "shape", shape, "a list of whole numbers from 0 on")
     try:
         f"{path}{units}".encode()  # JSON can encode lone surrogates, which are not text
         return Entry(units, _texts(path, stated, shape) if kind == TEXT else _array(path, stated, kind, shape))
@@ -203,7 +208,7 @@ def _quote(value: object) -> str:
     if isinstance(value, dict | list):
         return "an object" if isinstance(value, dict) else "a list"
     text = json.dumps(value)
-    return text if len(text) <= _LONGEST_QUOTE else f"{text[:_LONGEST_QUOTE]}…"
+    return text if len(text) <= _MAX_QUOTE_LENGTH else f"{text[:_MAX_QUOTE_LENGTH]}…"
 
 
 def _texts(path: str, stated: dict[str, Any], shape: list[int]) -> Value:
@@ -240,17 +245,3 @@ def _array(path: str, stated: dict[str, Any], kind: str, shape: list[int]) -> ND
         _require(False, path, "values", wrong_value, "0 and 1")
     _require(math.prod(shape) == array.size, path, "shape", shape, f"one of {array.size} values")
     return array.astype(_KINDS[kind]).reshape(shape)
-
-
-def _kind(values: NDArray[Any]) -> str:
-    return "u1" if values.dtype == np.bool_ else str(values.dtype.str[1:])
-
-
-def _bytes(values: NDArray[Any], kind: str) -> bytes:
-    return values.astype(f"<{kind}" if kind != "u1" else "u1").tobytes()
-
-
-def _number(value: float | int | bool) -> float | int | None:
-    if isinstance(value, bool):
-        return int(value)
-    return None if isinstance(value, float) and np.isnan(value) else value

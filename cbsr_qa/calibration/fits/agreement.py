@@ -190,7 +190,9 @@ def compare_relaxations(
     start_s, end_s = max(first.start_s, second.start_s), min(first.window_s, second.window_s)
     if not start_s < end_s:
         return refuse_comparison(f"no time in common: one begins at {start_s:.3g} s, one ends at {end_s:.3g} s")
-    curves = _curves(first, second, np.linspace(start_s, end_s, _TIMES))
+    time_s = np.linspace(start_s, end_s, _TIMES)
+    (curve, variance), (other, other_variance) = first.relative(time_s), second.relative(time_s)
+    curves = ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(other_variance))
     difference, stderr = curves.difference, curves.stderr
     reach = np.abs(difference) + ndtri(1 - LEVEL) * stderr
     surely = np.abs(difference) - ndtri(1 - LEVEL / 2 / _TIMES) * stderr
@@ -208,11 +210,6 @@ def compare_relaxations(
         ratio_reach,
         curves,
     )
-
-
-def _curves(first: ComparableRelaxation, second: ComparableRelaxation, time_s: Array) -> ComparedCurves:
-    (curve, variance), (other, other_variance) = first.relative(time_s), second.relative(time_s)
-    return ComparedCurves(time_s, curve, np.sqrt(variance), other, np.sqrt(other_variance))
 
 
 def _times(

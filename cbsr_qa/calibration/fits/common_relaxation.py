@@ -17,7 +17,7 @@ from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, Settling
 __all__ = ["CommonRelaxation", "TimedValues", "common_settling_time", "fit_common_relaxation"]
 
 #: Fewest points of a trace with information on its shape.
-_FEWEST: Final = 5
+_MIN_POINTS: Final = 5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -62,23 +62,30 @@ def fit_common_relaxation(traces: Sequence[TimedValues]) -> CommonRelaxation:
     CommonRelaxation, whose ``fit.status`` is TWO, ONE, FLAT (no significant relaxation), DRIFTING (slower than the
     traces are long) or REJECTED (no trace, or no time constant is determined).
     """
-    used_traces = [check_trace(*trace) for trace in traces if len(trace[0]) >= _FEWEST]
+    used_traces = [check_trace(*trace) for trace in traces if len(trace[0]) >= _MIN_POINTS]
     if not used_traces:
-        return _refuse_curve(FitStatus.REJECTED, used_traces, f"no trace of at least {_FEWEST} points")
+        return _refuse_curve(FitStatus.REJECTED, used_traces, f"no trace of at least {_MIN_POINTS} points")
     level = np.concatenate([values - values.mean() for _, values in used_traces])
     rounding = 8 * float(np.finfo(np.float64).eps) * max(float(np.abs(values).max()) for _, values in used_traces)
     if np.abs(level).max() <= rounding:
         return _refuse_curve(FitStatus.FLAT, used_traces, "no relaxation: the traces are constant")
-    bounds_s = _bounds_s(used_traces)
-    single = _one(used_traces, bounds_s)
+    shortest_s = min(float(np.median(np.diff(time_s))) for time_s, _ in used_traces) / 2
+    bounds_s = (shortest_s, 10 * max(float(time_s[-1] - time_s[0]) for time_s, _ in used_traces))
+    lowest, highest = np.log(bounds_s)
+    starts = [[log_tau] for log_tau in np.linspace(lowest, highest, 6)[1:-1]]
+    single = fit_joint(used_traces, starts, bounds_s)
     is_small = float(single.residual @ single.residual) > 0.5 * float(level @ level)
     if (
         is_small
-        and chance_of_gain(level, single.residual, _parameters(used_traces, 1), len(used_traces) + 1) > SIGNIFICANCE
+        and chance_of_gain(level, single.residual, _count_parameters(used_traces, 1), len(used_traces) + 1)
+        > SIGNIFICANCE
     ):
         return _refuse_curve(FitStatus.FLAT, used_traces, "no relaxation stands out of the noise")
-    two = _two(used_traces, bounds_s, float(np.log(single.time_constants_s[0])))
-    why = _why_not_two(single, two, bounds_s, _parameters(used_traces, 3), rounding)
+    # The single time constant lies between the two.
+    between, ratios = float(np.log(single.time_constants_s[0])), ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
+    starts = [[between - np.log(below), between + np.log(above), 0.4] for below, above in ratios]
+    two = fit_joint(used_traces, starts, bounds_s)
+    why = _explain_single(single, two, bounds_s, _count_parameters(used_traces, 3), rounding)
     return _accept_fit(single if why else two, used_traces, bounds_s, why)
 
 
@@ -131,28 +138,11 @@ def _shift_parameter(fit: RelaxationFit, index: int, step: float) -> RelaxationF
     return replace(fit, time_constants_s=tuple(taus))
 
 
-def _bounds_s(traces: Sequence[TimedValues]) -> tuple[float, float]:
-    lowest = min(float(np.median(np.diff(time_s))) for time_s, _ in traces) / 2
-    return lowest, 10 * max(float(time_s[-1] - time_s[0]) for time_s, _ in traces)
-
-
-def _parameters(traces: Sequence[TimedValues], shape: int) -> int:
+def _count_parameters(traces: Sequence[TimedValues], shape: int) -> int:
     return 2 * len(traces) + shape
 
 
-def _one(traces: Sequence[TimedValues], bounds_s: tuple[float, float]) -> JointExponentials:
-    lowest, highest = np.log(bounds_s)
-    return fit_joint(traces, [[place] for place in np.linspace(lowest, highest, 6)[1:-1]], bounds_s)
-
-
-def _two(traces: Sequence[TimedValues], bounds_s: tuple[float, float], middle: float) -> JointExponentials:
-    """Start around the single time constant, which lies between the two."""
-    ratios = ((5.0, 1.4), (3.0, 2.0), (1.5, 8.0))
-    starts = [[middle - np.log(below), middle + np.log(above), 0.4] for below, above in ratios]
-    return fit_joint(traces, starts, bounds_s)
-
-
-def _why_not_two(
+def _explain_single(
     single: JointExponentials, two: JointExponentials, bounds_s: tuple[float, float], parameters: int, rounding: float
 ) -> str:
     """Why the second exponential cannot be kept; empty if it can."""

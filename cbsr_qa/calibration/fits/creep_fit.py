@@ -65,7 +65,7 @@ def creep(loads: Sequence[LoadObservation], signal: str, *, from_s: float, frame
     -------
     Σ (G(end) − G(from)) / Σ G(end) over the loads, as a fraction.
     """
-    changes = [_creep(load, signal, from_s, frames) for load in loads]
+    changes = [_measure_creep(load, signal, from_s, frames) for load in loads]
     pairs = [pair for pair in changes if pair is not None]
     return _ratio(pairs, _describe_missing_trace(signal, from_s))
 
@@ -81,11 +81,11 @@ def creep_at_constant_stress(loads: Sequence[LoadObservation], *, from_s: float,
     """
     pairs = []
     for load in loads:
-        signal, stress = (_creep(load, name, from_s, frames) for name in (SIGNAL, STRESS))
+        signal, stress = (_measure_creep(load, name, from_s, frames) for name in (SIGNAL, STRESS))
         if signal is None or stress is None or not stress[1] > 0:
             continue
         pairs.append((signal[0] - signal[1] * stress[0] / stress[1], signal[1]))
-    missing = STRESS if any(_creep(load, SIGNAL, from_s, frames) for load in loads) else SIGNAL
+    missing = STRESS if any(_measure_creep(load, SIGNAL, from_s, frames) for load in loads) else SIGNAL
     return _ratio(pairs, _describe_missing_trace(missing, from_s))
 
 
@@ -113,12 +113,17 @@ def last_cycles(loads: Iterable[LoadObservation], *, frames: int) -> dict[str, t
     -------
     Locations at which both were sensed, in the order of their first press.
     """
-    return _last_two(loads, lambda load: _measure_held_level(load, frames))
+
+    def measure_held_level(load: LoadObservation) -> float | None:
+        trace = trace_of(load, SIGNAL, loading=True)
+        return None if trace is None else end_level(trace, frames)
+
+    return _pair_last_cycles(loads, measure_held_level)
 
 
 def last_stresses(loads: Iterable[LoadObservation]) -> dict[str, tuple[float, float]]:
     """Stress under the head at the end of these cycles, by location [kPa]; see :func:`last_cycles`."""
-    return _last_two(loads, lambda load: load.stress_kPa)
+    return _pair_last_cycles(loads, lambda load: load.stress_kPa)
 
 
 def change_between(levels: Iterable[tuple[float, float]]) -> Estimate:
@@ -136,7 +141,7 @@ def _ratio(pairs: Sequence[tuple[float, float]], why_none: str) -> Estimate:
     return ratio_of_sums(*zip(*pairs, strict=True))
 
 
-def _creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
+def _measure_creep(load: LoadObservation, signal: str, from_s: float, frames: int) -> tuple[float, float] | None:
     """Change of a signal from a time to the end of the hold, and its level there; None without such a trace."""
     trace, frame_trace = (trace_of(load, name, loading=True) for name in (signal, SIGNAL))
     if trace is None or (signal == STRESS and load.force_N is None):  # a cell at its limit records no true values
@@ -154,12 +159,7 @@ def _describe_missing_trace(signal: str, from_s: float) -> str:
     return f"{absence} that begins before {from_s:g} s and lasts clearly longer"
 
 
-def _measure_held_level(load: LoadObservation, frames: int) -> float | None:
-    trace = trace_of(load, SIGNAL, loading=True)
-    return None if trace is None else end_level(trace, frames)
-
-
-def _last_two(
+def _pair_last_cycles(
     loads: Iterable[LoadObservation], level: Callable[[LoadObservation], float | None]
 ) -> dict[str, tuple[float, float]]:
     places: dict[str, list[LoadObservation]] = defaultdict(list)

@@ -16,11 +16,10 @@ from cbsr_qa.calibration.fits.estimates import Estimate
 from cbsr_qa.calibration.fits.superposition import Levels, estimate_levels, levels_read
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, finite_numbers
-from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.observation import LoopObservation
 
 #: Holds of a loop are equally long within this share, as frames are whole.
-_ALIKE: Final = 0.15
+_MAX_HOLD_DIFFERENCE: Final = 0.15
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -84,7 +83,7 @@ def loop_curve(loop: LoopObservation, *, relaxed: bool, last_s: float) -> LoopCu
         If nothing was sensed, no force was recorded, the press did not go up and then down through strains held
         equally long, or relaxation cannot be removed.
     """
-    strain, peak, hold_s = _cycle(loop)
+    strain, peak, hold_s = _check_cycles(loop)
     assert loop.stress is not None
     records = loop.records
     if relaxed:
@@ -137,12 +136,12 @@ def hysteresis(curves: Sequence[LoopCurve]) -> Hysteresis:
     )
 
 
-def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
+def _check_cycles(loop: LoopObservation) -> tuple[Array, int, float]:
     if loop.why:
         raise NumericsError(f"the loops cannot be evaluated: {loop.why}")
     if loop.stress is None:
         raise NumericsError(f"no stress to compare outputs at: {loop.no_force or 'no force was recorded'}")
-    cycles = [_strains(record) for record in loop.records]
+    cycles = [np.array([hold.strain for hold in record.held]) for record in loop.records]
     strain = cycles[0]
     if any(len(other) != len(strain) or not np.allclose(other, strain) for other in cycles):
         raise NumericsError("the loops of one place go through different strains")
@@ -155,16 +154,12 @@ def _cycle(loop: LoopObservation) -> tuple[Array, int, float]:
             remedy='press with sequence = "hysteresis-loop"',
         )
     held_s = np.array([hold.end_s - hold.start_s for record in loop.records for hold in record.held])
-    if np.ptp(held_s) > _ALIKE * held_s.max():
+    if np.ptp(held_s) > _MAX_HOLD_DIFFERENCE * held_s.max():
         raise NumericsError(
             f"strains were held for {held_s.min():.3g} to {held_s.max():.3g} s: creep is not alike on both ways",
             remedy="hold every strain equally long",
         )
     return strain, peak, float(np.median(held_s))
-
-
-def _strains(record: LoadRecord) -> Array:
-    return np.array([hold.strain for hold in record.held])
 
 
 def _differences(output: Array, stress: Array, peak: int) -> Array:

@@ -4,6 +4,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.linalg import block_diag
 
 from cbsr_qa.calibration.fits.separable import best_fit
 from cbsr_qa.domain.numbers import Array
@@ -84,15 +85,15 @@ class _Joint:
 
     def jacobian(self, shape: Array) -> Array:
         basis, scales = self._project(shape)
-        slope = self._spread(scales)[:, None] * self._less_means(_slopes(self._time_s, shape))
-        projections = self._sums(basis[:, None] * slope) / self._squares(basis)[:, None]
+        slope = self._spread(scales)[:, None] * self._subtract_means(_slopes(self._time_s, shape))
+        projections = self._sum_traces(basis[:, None] * slope) / self._squares(basis)[:, None]
         return (basis[:, None] * self._spread(projections) - slope) / self._size
 
     def assemble(self, shape: Array) -> JointExponentials:
         if len(shape) == 3 and shape[0] > shape[1]:
             shape = np.array([shape[1], shape[0], 1 - shape[2]])
         _, scales = self._project(shape)
-        levels = self._sums(_shape(self._time_s, shape)) / self._counts
+        levels = self._sum_traces(_shape(self._time_s, shape)) / self._counts
         residual = self.residual(shape) * self._size
         spare = max(len(residual) - 2 * len(scales) - len(shape), 1)
         variance = float(residual @ residual) / spare
@@ -108,36 +109,36 @@ class _Joint:
 
     def _project(self, shape: Array) -> tuple[Array, Array]:
         """Centred basis of all points, and scale of every trace."""
-        basis = self._less_means(_shape(self._time_s, shape))
-        return basis, self._sums(basis * self._centred) / self._squares(basis)
+        basis = self._subtract_means(_shape(self._time_s, shape))
+        return basis, self._sum_traces(basis * self._centred) / self._squares(basis)
 
-    def _sums(self, points: Array) -> Array:
+    def _sum_traces(self, points: Array) -> Array:
         return np.add.reduceat(points, self._first)
 
     def _squares(self, basis: Array) -> Array:
-        return np.maximum(self._sums(basis**2), np.finfo(np.float64).tiny)
+        return np.maximum(self._sum_traces(basis**2), np.finfo(np.float64).tiny)
 
     def _spread(self, values: Array) -> Array:
         return np.repeat(values, self._counts, axis=0)
 
-    def _less_means(self, points: Array) -> Array:
+    def _subtract_means(self, points: Array) -> Array:
         counts = self._counts.reshape(-1, *[1] * (points.ndim - 1))
-        return points - self._spread(self._sums(points) / counts)
+        return points - self._spread(self._sum_traces(points) / counts)
 
     def _covariance(self, shape: Array, scales: Array) -> Array:
         """Covariance, per unit variance of the noise, of the mean trace's offset, amplitudes and log τ."""
         count = len(scales)
         # Not from the normal equations, which would treat nearly equal shapes as determined.
         root = np.asarray(np.linalg.pinv(self.jacobian(shape) * self._size), dtype=np.float64)
-        of_shape: Array = root @ root.T
+        shape_covariance: Array = root @ root.T
         level_covariance, turn = np.zeros((2, 2)), np.zeros((2, len(shape)))
         for time_s, scale in zip(np.split(self._time_s, self._first[1:]), scales, strict=True):
             inverse = np.linalg.pinv(np.column_stack([np.ones_like(time_s), _shape(time_s, shape)]))
             level_covariance += inverse @ inverse.T / count**2
             turn -= inverse @ (scale * _slopes(time_s, shape)) / count
         linear = np.vstack([np.column_stack([np.eye(2), turn]), np.eye(len(shape) + 2)[2:]])
-        to_amplitudes = _to_amplitudes(shape, float(scales.mean())) @ linear
-        return to_amplitudes @ _block(level_covariance, of_shape) @ to_amplitudes.T
+        to_amplitudes = _transform_to_amplitudes(shape, float(scales.mean())) @ linear
+        return to_amplitudes @ block_diag(level_covariance, shape_covariance) @ to_amplitudes.T
 
 
 def _shape(time_s: Array, shape: Array) -> Array:
@@ -157,17 +158,10 @@ def _slopes(time_s: Array, shape: Array) -> Array:
     return slopes
 
 
-def _to_amplitudes(shape: Array, scale: float) -> Array:
+def _transform_to_amplitudes(shape: Array, scale: float) -> Array:
     """From (offset, scale, log τ…[, share]) to (offset, amplitudes…, log τ…)."""
     if len(shape) == 1:
         return np.eye(3)
     share = float(shape[2])
     rows = [[1, 0, 0, 0, 0], [0, share, 0, 0, scale], [0, 1 - share, 0, 0, -scale], [0, 0, 1, 0, 0], [0, 0, 0, 1, 0]]
     return np.array(rows, dtype=np.float64)
-
-
-def _block(first: Array, second: Array) -> Array:
-    size = len(first) + len(second)
-    matrix = np.zeros((size, size))
-    matrix[: len(first), : len(first)], matrix[len(first) :, len(first) :] = first, second
-    return matrix

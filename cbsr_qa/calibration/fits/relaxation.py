@@ -18,7 +18,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit
 
 #: Half a frame over a time constant, above which e^x would soon overflow.
-_LONGEST: Final = 500.0
+_MAX_HALF_FRAME_RATIO: Final = 500.0
 
 
 def exponentials(
@@ -51,7 +51,7 @@ def observable_share(
     """
     ramp_ratio = np.asarray(ramp_s, dtype=np.float64)[..., None] / time_constants_s
     frame_ratio = frame_s / 2 / time_constants_s
-    if (frame_ratio > _LONGEST).any():
+    if (frame_ratio > _MAX_HALF_FRAME_RATIO).any():
         raise NumericsError(
             f"a frame of {frame_s:g} s says nothing about a time constant of {np.min(time_constants_s):.3g} s",
             remedy="leave out what is so much faster than a frame",
@@ -96,12 +96,12 @@ _ABOUT_SLOPE: Final = np.polynomial.polynomial.polyder(_ABOUT)
 
 
 #: Fewest points for one and for two exponentials: their parameters and two to spare.
-_FEWEST: Final = {1: 5, 2: 7}
+_MIN_POINTS: Final = {1: 5, 2: 7}
 #: An amplitude must be this many of its standard errors from zero.
 _CLEAR: Final = 3.0
 _DRIFTING: Final = "still drifting: the trace is too short for its time constant"
 #: A trace that begins after so many of its lengths has no trace of earlier relaxation.
-_LATEST: Final = 100.0
+_MAX_START_RATIO: Final = 100.0
 #: Least and greatest size of values with finite, nonzero squares.
 _SIZES: Final = (1e-140, 1e140)
 
@@ -144,16 +144,18 @@ def fit_relaxation(
     final = float(np.median(values[-max(len(values) // 4, 1) :]))
     if np.abs(values - final).max() <= max(flat_within, 4 * rounding):
         return _refuse_curve(FitStatus.FLAT, values, rounding, "no relaxation: within the band from the start")
-    if len(values) < _FEWEST[1]:
+    if len(values) < _MIN_POINTS[1]:
         return _refuse_curve(
-            FitStatus.REJECTED, values, rounding, f"{len(values)} points are too few; {_FEWEST[1]} are needed"
+            FitStatus.REJECTED, values, rounding, f"{len(values)} points are too few; {_MIN_POINTS[1]} are needed"
         )
-    bounds_s = _bounds_s(time_s)
+    # Amplitudes are stated at t = 0; a thirtieth of the start keeps those of a late trace (after a spike) in range.
+    shortest_s = max(float(np.median(np.diff(time_s))) / 2, abs(float(time_s[0])) / 30)
+    bounds_s = (shortest_s, 10 * float(time_s[-1] - time_s[0]))
     single = fit_exponentials(time_s, values, 1, bounds_s, rounding)
-    if len(values) < _FEWEST[2]:
+    if len(values) < _MIN_POINTS[2]:
         return _accept_fit(single, values, bounds_s, r_squared_gate, "too few points for a second exponential")
     two = fit_exponentials(time_s, values, 2, bounds_s, rounding)
-    why = _why_not_two(single, two, bounds_s, rounding)
+    why = _explain_single(single, two, bounds_s, rounding)
     return _accept_fit(single if why else two, values, bounds_s, r_squared_gate, why)
 
 
@@ -188,7 +190,7 @@ def check_trace(time_s: Array, values: Array) -> tuple[Array, Array]:
 
 def _check_range(time_s: Array, values: Array) -> None:
     window_s = float(time_s[-1] - time_s[0]) if len(time_s) else 0.0
-    if window_s > 0 and abs(time_s[0]) > _LATEST * window_s:
+    if window_s > 0 and abs(time_s[0]) > _MAX_START_RATIO * window_s:
         raise NumericsError(
             f"a trace of {window_s:.4g} s begins {time_s[0]:.6g} s after the end of the ramp: nothing is left to fit",
             remedy="count its times from the end of the ramp, not from some other beginning",
@@ -201,14 +203,7 @@ def _check_range(time_s: Array, values: Array) -> None:
         )
 
 
-def _bounds_s(time_s: Array) -> tuple[float, float]:
-    lowest = float(np.median(np.diff(time_s))) / 2
-    highest = 10 * float(time_s[-1] - time_s[0])
-    # Amplitudes are stated at t = 0; this keeps those of a late trace (after a spike) in range.
-    return max(lowest, abs(float(time_s[0])) / 30), highest
-
-
-def _why_not_two(single: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
+def _explain_single(single: Exponentials, two: Exponentials, bounds_s: tuple[float, float], rounding: float) -> str:
     fast_s, slow_s = two.time_constants_s
     at_bound = slow_s > 0.99 * bounds_s[1] or fast_s < 1.01 * bounds_s[0]
     chance = chance_of_gain(single.residual, two.residual, 5, 2)
@@ -241,9 +236,10 @@ def _accept_fit(
     centred = values - values.mean()
     r_squared = 1 - fit.sum_of_squares / float(centred @ centred)
     stderr = np.where(np.isfinite(fit.stderr), fit.stderr, np.finfo(np.float64).max)
+    tau_s, window_s = float(fit.time_constants_s[0]), bounds_s[1] / 10
     if r_squared < r_squared_gate:
         status, why = FitStatus.REJECTED, f"R² {r_squared:.3f} is below {r_squared_gate:g}"
-    elif count == 1 and _drifts(fit, bounds_s):
+    elif count == 1 and (tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(fit.stderr[2]) > 1.0)):
         return _refuse_curve(
             FitStatus.DRIFTING, values[-max(len(values) // 4, 1) :], 0.0, _DRIFTING, r_squared=r_squared
         )
@@ -261,11 +257,6 @@ def _accept_fit(
         r_squared=r_squared,
         why=why,
     )
-
-
-def _drifts(fit: Exponentials, bounds_s: tuple[float, float]) -> bool:
-    tau_s, window_s = float(fit.time_constants_s[0]), bounds_s[1] / 10
-    return tau_s > 0.99 * bounds_s[1] or (tau_s > window_s and float(fit.stderr[2]) > 1.0)
 
 
 def _refuse_curve(

@@ -173,14 +173,14 @@ def _as_variance(likely: Array) -> tuple[float, float]:
     return float(np.sqrt(mean * (freedom - 2) / freedom)), freedom
 
 
-_FEWEST: Final = 6
+_MIN_VALUES: Final = 6
 #: Standard deviations of the weak priors: of a weight, a logarithm of a time constant, and the weight of an
 #: exponential that may be hidden in the traces.
 _WEIGHT, _LOG_TIME, _HIDDEN = 1.0, 1.0, 0.3
 #: Least mean of all sizes, over their root mean square, for the mean to represent them.
 _ONE_SIGN: Final = 0.1
 #: Ratio of time constants between a hidden exponential and the visible one.
-_APART: Final = 5.0
+_HIDDEN_RATIO: Final = 5.0
 
 
 def learn_kernel(
@@ -217,15 +217,22 @@ def learn_kernel(
     RelaxationKernel; unusable, with the reason ``why``, if the traces drift or show no time constant.
     """
     loads, unit = _scale_loads(_loads(traces, ramp_s, released, start_s))
-    usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _FEWEST]
+    usable = [index for index, load in enumerate(loads) if len(load.time_s) >= _MIN_VALUES]
     used_loads = [loads[index] for index in usable]
-    common_fit = fit_common_relaxation([(load.time_s, load.values) for load in used_loads])
-    why = common_fit.fit.why if common_fit.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING) else ""
-    if not why and not _stands_out(used_loads, common_fit):
-        why = "no load stands out of its noise"
+    common = fit_common_relaxation([(load.time_s, load.values) for load in used_loads])
+    if released is None:
+        stands_out = abs(common.fit.offset) > 5 * common.fit.offset_stderr
+    else:
+        stands_out = any(load.released for load in used_loads)
+    why = "" if stands_out else "no load stands out of its noise"
+    if common.fit.status in (FitStatus.REJECTED, FitStatus.DRIFTING):
+        why = common.fit.why
     if why:
-        return _refuse_kernel(released is None, len(used_loads), start_s, why)
-    weights, time_constants_s, prior = _beginning(used_loads, common_fit, frame_s)
+        none = np.zeros(0)
+        return RelaxationKernel(
+            released is None, none, none, np.zeros((0, 0)), none, 1.0, len(used_loads), start_s, why
+        )
+    weights, time_constants_s, prior = _beginning(used_loads, common, frame_s)
     used_noise = None if noise is None else [noise[index] * unit for index in usable]
     return _estimate_shared_kernel(
         used_loads, weights, time_constants_s, prior, frame_s=frame_s, noise=used_noise, start_s=start_s
@@ -260,12 +267,6 @@ def _scale_loads(loads: list[KernelTrace]) -> tuple[list[KernelTrace], float]:
     return scaled, unit
 
 
-def _stands_out(loads: Sequence[KernelTrace], common: CommonRelaxation) -> bool:
-    if loads[0].released is not None:
-        return any(load.released for load in loads)
-    return abs(common.fit.offset) > 5 * common.fit.offset_stderr
-
-
 def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: float) -> tuple[Array, Array, Array]:
     """Weights, time constants and the standard deviations of their weak priors."""
     window_s = max(float(load.time_s[-1]) for load in loads)
@@ -284,12 +285,7 @@ def _beginning(loads: Sequence[KernelTrace], common: CommonRelaxation, frame_s: 
     if len(visible_s) == 2:
         return weights, visible_s, np.array([_WEIGHT, _WEIGHT, _LOG_TIME, _LOG_TIME])
     if len(visible_s) == 1:
-        both_s = np.array([visible_s[0] / _APART, visible_s[0]])
+        both_s = np.array([visible_s[0] / _HIDDEN_RATIO, visible_s[0]])
         return np.array([0.0, weights[0]]), both_s, np.array([_HIDDEN, _WEIGHT, 0.0, _LOG_TIME])
-    both_s = window_s / np.array([3 * _APART, 3.0])
+    both_s = window_s / np.array([3 * _HIDDEN_RATIO, 3.0])
     return np.zeros(2), both_s, np.array([_HIDDEN, _HIDDEN, 0.0, 0.0])
-
-
-def _refuse_kernel(loading: bool, loads: int, start_s: float, why: str) -> RelaxationKernel:
-    none = np.zeros(0)
-    return RelaxationKernel(loading, none, none, np.zeros((0, 0)), none, 1.0, loads, start_s, why)

@@ -43,19 +43,22 @@ def settling_time(
     ``censored`` if it is not inside at the window's end, or still drifting; no value if the fit was rejected or there
     is no band.
     """
-    _check(window_s, tolerance, band)
+    if not window_s > 0 or not tolerance > 0:
+        raise NumericsError(f"a window of {window_s} s and a tolerance of {tolerance} must be positive")
+    if band not in _BANDS:
+        raise NumericsError(f"settling band {band!r} is unknown", remedy=f"use {' or '.join(map(repr, _BANDS))}")
     if fit.status is FitStatus.REJECTED:
         return SettlingTime(None, False, 0.0, f"the relaxation fit was rejected: {fit.why}")
     steady = fit.offset if loaded_change is None else loaded_change
     half_width = tolerance * abs(_deviation(fit, start_s) if band == "step" else steady)
-    why_late = _why_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
+    why_late = _explain_late(fit, half_width, window_s, None if loaded_change is None else (loaded_change, tolerance))
     if why_late:
         return SettlingTime(window_s, True, half_width, why_late)
     if fit.status is FitStatus.FLAT:
         return SettlingTime(start_s, False, half_width, "inside the band from the start")
     if half_width == 0:
         return SettlingTime(None, False, 0.0, "there is no steady change to which the band could be relative")
-    last = _last_outside(fit, half_width, start_s, window_s)
+    last = _find_last_outside(fit, half_width, start_s, window_s)
     return SettlingTime(last, False, half_width, "" if last > start_s else "inside the band from the start")
 
 
@@ -94,14 +97,9 @@ def estimate_restricted_mean(times_s: Sequence[float], censored: Sequence[bool])
     return float(edges[0]) + mean, float(np.sqrt(share @ (elapsed_s - mean) ** 2))
 
 
-def _check(window_s: float, tolerance: float, band: str) -> None:
-    if not window_s > 0 or not tolerance > 0:
-        raise NumericsError(f"a window of {window_s} s and a tolerance of {tolerance} must be positive")
-    if band not in _BANDS:
-        raise NumericsError(f"settling band {band!r} is unknown", remedy=f"use {' or '.join(map(repr, _BANDS))}")
-
-
-def _why_late(fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float] | None) -> str:
+def _explain_late(
+    fit: RelaxationFit, half_width: float, window_s: float, unloading: tuple[float, float] | None
+) -> str:
     """Why a trace has not settled by its window's end; empty if it has."""
     if fit.status is FitStatus.DRIFTING:
         return fit.why
@@ -118,7 +116,7 @@ def _deviation(fit: RelaxationFit, time_s: float) -> float:
     return float(sum(a * np.exp(-time_s / tau) for a, tau in zip(fit.amplitudes, fit.time_constants_s, strict=True)))
 
 
-def _last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: float) -> float:
+def _find_last_outside(fit: RelaxationFit, half_width: float, start_s: float, end_s: float) -> float:
     """Last time in [start, end] outside the band, or start; the end is known to be inside.
 
     Between its zero and its extremum (at most one of each) the deviation's size is monotone: each root is bracketed.

@@ -290,9 +290,11 @@ def forces_together(
     sign : sign of the response.
     other_head : (k,) mask of heads whose templates have a larger error than is allowed.
     """
-    newtons = inverse.newtons(_matches(heads))
+    covariance = np.array([heads.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(heads))])
+    energy = heads.detectability**2
+    newtons = inverse.newtons(Matches(heads.place_mm, heads.strength, covariance, energy, energy))
     groups = heads.groups(nearest_mm)
-    sums = [_sum(heads, newtons, group) for group in groups]
+    sums = [_sum_group(heads, newtons, group) for group in groups]
     force, stderr, place, place_stderr = (np.array(values) for values in zip(*sums, strict=True))
     missing_share = _MISSING * np.sqrt(unexplained)
     stderr = np.hypot(stderr, missing_share * np.abs(force))
@@ -303,7 +305,7 @@ def forces_together(
     flags[np.array([other_head[group].any() for group in groups])] |= Flag.OTHER_HEAD
     detectability = np.array([heads.detectability[group].max() for group in groups])
     loads = Forces(force, stderr, place, place_stderr, detectability, flags)
-    total, total_stderr, _, _ = _sum(heads, newtons, range(len(heads)))
+    total, total_stderr, _, _ = _sum_group(heads, newtons, range(len(heads)))
     frame_flags = Flag.MORE_THAN_ONE if together_mask.any() else Flag(0)
     return SeveralForces(loads, total, float(np.hypot(total_stderr, missing_share * abs(total))), frame_flags)
 
@@ -315,12 +317,7 @@ def nothing_together(total_N: float, stderr_N: float, flags: Flag) -> SeveralFor
     return SeveralForces(loads, total_N, stderr_N, flags)
 
 
-def _matches(heads: Heads) -> Matches:
-    blocks = np.array([heads.covariance[3 * k : 3 * k + 3, 3 * k : 3 * k + 3] for k in range(len(heads))])
-    return Matches(heads.place_mm, heads.strength, blocks, heads.detectability**2, heads.detectability**2)
-
-
-def _sum(heads: Heads, newtons: Newtons, group: Sequence[int]) -> tuple[float, float, Array, float]:
+def _sum_group(heads: Heads, newtons: Newtons, group: Sequence[int]) -> tuple[float, float, Array, float]:
     """Sum of some heads' forces with its error, and their force-weighted middle with its error."""
     head_indices = np.array(group)
     entries = (3 * head_indices[:, None] + np.arange(3)).ravel()

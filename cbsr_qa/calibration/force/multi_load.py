@@ -17,10 +17,10 @@ from cbsr_qa.domain.numbers import Array
 
 _STEPS: Final = 25  # steps of scoring; it usually ends earlier
 _STILL: Final = 0.01  # change of the squared residuals, in units of a reading's noise, that ends it
-_LONGEST_MM: Final = 3.0  # step of a place
+_MAX_STEP_MM: Final = 3.0  # step of a place
 _TURNS: Final = 4  # rounds of finding each head again with the others fixed
 #: Initial distance between halves of a head, of the head's diameter, and number of directions.
-_APART: Final = 1.3
+_SPLIT_DIAMETERS: Final = 1.3
 _DIRECTIONS: Final = 4
 #: Heads count as two if each is so many standard errors strong, and their distance is so many of its own.
 _RESOLVED: Final = 4.0
@@ -141,29 +141,27 @@ class HeadCounter:
         if heads is None or heads.gain < self._least:
             return None, 0.0
         while True:
-            more_heads = self._with_another(rows, heads)
+            more_heads = self._add_head(rows, heads)
             if more_heads is None or more_heads.gain - heads.gain < self._least + self._misfit * heads.gain:
                 return heads.sort_by_detectability(), 0.0
             if len(heads) >= at_most:
                 return heads.sort_by_detectability(), float(rows @ rows) / heads.gain - 1
             heads = more_heads
 
-    def _with_another(self, rows: Array, heads: Heads) -> Heads | None:
+    def _add_head(self, rows: Array, heads: Heads) -> Heads | None:
         """The best fit with one more head, from several starts."""
-        with_best = np.vstack([heads.place_mm, self._best_beside(rows, heads.place_mm)])
+        with_best = np.vstack([heads.place_mm, self._find_best_place(rows, heads.place_mm)])
         starts = [with_best, self._place_in_turn(rows, with_best)]
         angles = np.pi * np.arange(_DIRECTIONS) / _DIRECTIONS
-        for number in range(len(heads)):
-            splits = [self._take_apart(heads.place_mm, number, angle) for angle in angles]
+        halves_mm = [
+            _SPLIT_DIAMETERS * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)]) for angle in angles
+        ]
+        for number, place_mm in enumerate(heads.place_mm):
+            others_mm = np.delete(heads.place_mm, number, axis=0)
+            splits = [np.vstack([others_mm, place_mm + half_mm, place_mm - half_mm]) for half_mm in halves_mm]
             starts.append(splits[int(np.argmax([self._gain(rows, places) for places in splits]))])
         fits = [fit for fit in (self._fit(rows, places) for places in starts) if fit is not None]
         return max(fits, key=lambda fit: fit.gain, default=None)
-
-    def _take_apart(self, places_mm: Array, number: int, angle: float) -> Array:
-        half_mm = _APART * self._diameter_mm / 2 * np.array([np.cos(angle), np.sin(angle)])
-        return np.vstack(
-            [np.delete(places_mm, number, axis=0), places_mm[number] + half_mm, places_mm[number] - half_mm]
-        )
 
     def _place_in_turn(self, rows: Array, places_mm: Array) -> Array:
         """Places on the lattice, each in turn where it explains most besides the others."""
@@ -171,12 +169,12 @@ class HeadCounter:
         for _ in range(_TURNS):
             last_places = places.copy()
             for number in range(len(places)):
-                places[number] = self._best_beside(rows, np.delete(places, number, axis=0))
+                places[number] = self._find_best_place(rows, np.delete(places, number, axis=0))
             if np.array_equal(last_places, places):
                 break
         return places
 
-    def _best_beside(self, rows: Array, places_mm: Array) -> Array:
+    def _find_best_place(self, rows: Array, places_mm: Array) -> Array:
         """Place (2,) on the lattice of the head that explains most besides others, their strengths left free."""
         bank, templates = self._filter.bank, self._filter.template(places_mm)
         basis = np.linalg.qr(templates[np.isfinite(templates).all(axis=1)].T)[0]
@@ -212,7 +210,7 @@ class HeadCounter:
                 )
             except np.linalg.LinAlgError:
                 return None
-            move = step[:, 1:] * np.minimum(1.0, _LONGEST_MM / np.maximum(np.hypot(*step[:, 1:].T), 1e-12))[:, None]
+            move = step[:, 1:] * np.minimum(1.0, _MAX_STEP_MM / np.maximum(np.hypot(*step[:, 1:].T), 1e-12))[:, None]
             trial_jet = self._filter.template_and_slopes(places + move)
             trial_squares = np.inf
             if np.isfinite(trial_jet).all():

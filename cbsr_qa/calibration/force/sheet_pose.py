@@ -10,10 +10,10 @@ from cbsr_qa.calibration.force.template_matching import Matches
 from cbsr_qa.domain.numbers import Array
 
 #: Largest error of a place that helps to determine the pose [mm].
-_SURE_MM: Final = 1.5
+_MAX_STDERR_MM: Final = 1.5
 #: Fewest places for a pose, and standard errors by which it must differ from none.
-_FEWEST: Final = 3
-_CLEAR: Final = 4.0
+_MIN_PLACES: Final = 3
+_MIN_STDERRS: Final = 4.0
 #: Largest shift of a place by a pose that is ignored [mm].
 _SMALLEST_MM: Final = 0.15
 
@@ -70,19 +70,15 @@ def sheet_pose_of(nominal_mm: Array, matches: Matches, noise: Array) -> SheetPos
     than 4 standard errors, estimated from the residuals.
     """
     variance = matches.covariance[:, [1, 2], [1, 2]].mean(axis=1) * noise
-    sure_mask = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _SURE_MM**2)
-    if len(np.unique(nominal_mm[sure_mask], axis=0)) < _FEWEST:
+    sure_mask = np.isfinite(matches.place_mm).all(axis=1) & (variance > 0) & (variance < _MAX_STDERR_MM**2)
+    if len(np.unique(nominal_mm[sure_mask], axis=0)) < _MIN_PLACES:
         return AS_PLACED
     # Besides noise, an uneven sheet moves every place slightly: no load outweighs all others.
     weight = 1 / (variance[sure_mask] + float(np.median(variance[sure_mask])))
     p, q = (places[sure_mask] @ np.array([1, 1j]) for places in (nominal_mm, matches.place_mm))
-    weight = _drop_strays(p, q, weight)
-    return _fit_pose(p, q, weight)
-
-
-def _drop_strays(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> Array:
     distance_mm = np.abs((q - p) - np.median((q - p).real) - 1j * np.median((q - p).imag))
-    return np.where(distance_mm <= max(5 * float(np.median(distance_mm)), 3.0), weight, 0.0)
+    stray_mm = max(5 * float(np.median(distance_mm)), 3.0)
+    return _fit_pose(p, q, np.where(distance_mm <= stray_mm, weight, 0.0))
 
 
 def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Array) -> SheetPose:
@@ -99,7 +95,7 @@ def _fit_pose(p: NDArray[np.complex128], q: NDArray[np.complex128], weight: Arra
     variance = float(weight @ squared_residual) / (2 * count - 3)  # variance of one coordinate of weight one
     angle_stderr = float(np.sqrt(variance / size))
     shift_stderr = float(np.sqrt(variance * (1 / total + abs(nominal_middle) ** 2 / size)))
-    is_clear = abs(shift) > _CLEAR * shift_stderr or abs(angle) > _CLEAR * angle_stderr
+    is_clear = abs(shift) > _MIN_STDERRS * shift_stderr or abs(angle) > _MIN_STDERRS * angle_stderr
     furthest = float(np.abs(shift + (np.exp(1j * angle) - 1) * p).max())
     return SheetPose(
         (shift.real, shift.imag),

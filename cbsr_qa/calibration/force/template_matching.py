@@ -70,7 +70,10 @@ class TemplateFilter:
         self._stencil = stencils(model.node)
         self._whole: Mask = np.logical_and.reduce(self._stencil >= 0, axis=1)
         self._node_of = model.node.ravel()
-        self._coarse = np.flatnonzero(_pressable(model.node, model.fits) & _every(_STRIDE, model.node))
+        fits_mask = np.where(model.node >= 0, model.fits[model.node], False).ravel()
+        rows, columns = (np.abs(np.arange(count) - count // 2) % _STRIDE == 0 for count in model.node.shape)
+        # A head fits on each of these places, and each has the neighbours for interpolation.
+        self._coarse = np.flatnonzero(self._whole & fits_mask & np.logical_and.outer(rows, columns).ravel())
         if not len(self._coarse):
             raise CalibrationError(
                 "there is no place on the lattice that a head could be searched from",
@@ -172,16 +175,16 @@ class TemplateFilter:
 
     def _search(self, rows: Array) -> Matches:
         cell, offset = self._cell_of_best(rows @ self.bank)
-        offset, surfaces = self._maximise_score(self._about(cell, rows), offset)
+        offset, surfaces = self._maximise_score(self._read_surroundings(cell, rows), offset)
         for _ in range(_MOVES):
             moved_mask, aim = self._neighbours(cell, offset)
             if not moved_mask.any():
                 break
             cell[moved_mask] = aim[moved_mask]
             offset[moved_mask], surfaces[moved_mask] = self._maximise_score(
-                self._about(cell[moved_mask], rows[moved_mask]), np.full((int(moved_mask.sum()), 2), 0.5)
+                self._read_surroundings(cell[moved_mask], rows[moved_mask]), np.full((int(moved_mask.sum()), 2), 0.5)
             )
-        strength, covariance, gain = self._result(surfaces)
+        strength, covariance, gain = self._read_result(surfaces)
         j, i = np.divmod(cell, self.lattice.columns)
         h = self.lattice.spacing_mm
         place = np.empty((len(cell), 2))
@@ -189,7 +192,7 @@ class TemplateFilter:
         place[:, 1] = self.lattice.origin_mm[1] + h * (j + offset[:, 1])
         return Matches(place, strength, covariance, gain, np.einsum("nr,nr->n", rows, rows))
 
-    def _about(self, cell: Indices, rows: Array) -> Array:
+    def _read_surroundings(self, cell: Indices, rows: Array) -> Array:
         nodes = self._stencil[cell]
         surroundings = np.empty((*nodes.shape, 7))
         surroundings[:, :, :1] = self.templates[nodes] @ rows[:, :, None]
@@ -246,7 +249,7 @@ class TemplateFilter:
             damping = np.where(better_mask, 1.0, damping / 4)
         return offset, surfaces
 
-    def _result(self, there: Array) -> tuple[Array, Array, Array]:
+    def _read_result(self, there: Array) -> tuple[Array, Array, Array]:
         score, log_size, *_, xx, xy, yy = there[:, 0].T
         strength, log_size_slope = score / np.exp(log_size), there[:, 0, 2:4]
         squared = np.maximum(score**2, _NOTHING)
@@ -297,15 +300,3 @@ def add_scatter(matches: Matches, size_slope: Array, scatter_mm: float) -> Match
 
 
 _ONES: Final = np.eye(2)
-
-
-def _every(stride: int, node: Indices) -> Mask:
-    rows, columns = (np.asarray(np.abs(np.arange(count) - count // 2) % stride == 0) for count in node.shape)
-    chosen_mask: Mask = np.logical_and.outer(rows, columns).ravel()
-    return chosen_mask
-
-
-def _pressable(node: Indices, fits: Mask) -> Mask:
-    """Mask (rows · columns,) of places that a head fits on, with neighbours for interpolation."""
-    fitting = np.where(node >= 0, fits[node], False)
-    return (stencils(node) >= 0).all(axis=1) & fitting.ravel()

@@ -1,6 +1,6 @@
 """Effect of one head on the readings at every possible place: the bank of templates for frames."""
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import lru_cache
 from math import ceil, log, sqrt
@@ -78,17 +78,14 @@ def template_bank(model: RoundLoadModel, readings: MergedReadings, head: Indente
         raise CalibrationError(f"a head of {head.words()} fits nowhere on the sheet: no force can be calibrated")
     node = np.where(inside_mask, np.cumsum(inside_mask) - 1, -1).reshape(lattice.rows, lattice.columns)
     places = lattice_mm[inside_mask]
-    templates, log_size, size_slope, slopes = _join(_templates(readings, p) for p in _everywhere(model, head))
+    parts = zip(*(_templates(readings, pressed) for pressed in _press_everywhere(model, head)), strict=True)
+    templates, log_size, size_slope, slopes = (np.concatenate(values) for values in parts)
     fits = clear_mm[inside_mask] >= head.radius_mm
     return TemplateBank(lattice, node.astype(np.int64), places, templates, log_size, size_slope, slopes, fits)
 
 
-def _join(parts: Iterable[tuple[Array, ...]]) -> tuple[Array, ...]:
-    return tuple(np.concatenate(values) for values in zip(*parts, strict=True))
-
-
 @lru_cache(maxsize=1)  # keeps those of the last sensor and head, about 50 MB
-def _everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
+def _press_everywhere(model: RoundLoadModel, head: Indenter) -> "tuple[_Pressed, ...]":
     """Readings of a head at all places of the lattice, independent of measurements."""
     lattice_mm = _lattice(model).places_mm()
     inside_mask = model.surroundings.clearance_mm(lattice_mm) >= LEAST_CLEARANCE * model.surroundings.radius_mm

@@ -13,7 +13,7 @@ from cbsr_qa.domain.sensor.patterns import DrivePattern
 #: Number of places below which most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6
 #: Number of loads named one by one; the rest are counted.
-_NAMED: Final = 6
+_MAX_NAMED_LOADS: Final = 6
 
 
 def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) -> Iterator[str]:
@@ -26,7 +26,7 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         else:
             used_loads.append(load)
     for why, members in loads_by_reason.items():
-        yield f"no force was learned from {_names(members)}: {why}"
+        yield f"no force was learned from {_name_loads(members)}: {why}"
     if words := prediction_words(learned):
         yield words
     places = {load.place_mm for load in used_loads}
@@ -78,7 +78,7 @@ def list_missing_forces(loads: Sequence[LoadObservation]) -> Iterator[str]:
         if load.no_force:
             silent.setdefault(load.no_force, []).append(load)
     for why, members in silent.items():
-        yield f"no force was measured of {_names(members)}: {why}"
+        yield f"no force was measured of {_name_loads(members)}: {why}"
 
 
 def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
@@ -89,11 +89,12 @@ def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
         return
     yield f"{missing_count} readings were not imaged: saturated, constant or not connected"
     drive, measure = np.array(pattern.drive), np.array(pattern.measure)
-    dead_electrodes = [
-        electrode
-        for electrode in range(pattern.electrode_count)
-        if _all_lost(expected_mask, usable, (drive == electrode).any(axis=1), (measure == electrode).any(axis=1))
-    ]
+    dead_electrodes = []
+    for electrode in range(pattern.electrode_count):
+        drives_mask, measures_mask = (drive == electrode).any(axis=1), (measure == electrode).any(axis=1)
+        touching_mask = expected_mask & (drives_mask[:, None] | measures_mask[None, :])
+        if touching_mask.any() and not (touching_mask & usable).any():
+            dead_electrodes.append(electrode)
     if dead_electrodes:
         subject = (
             f"electrode {dead_electrodes[0]} is"
@@ -103,17 +104,8 @@ def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
         yield f"{subject} dead: not one of its readings could be used, and forces beside it are less certain"
 
 
-def _all_lost(wanted: Mask, usable: Mask, drives: Mask, measures: Mask) -> bool:
-    touching = wanted & (drives[:, None] | measures[None, :])
-    return bool(touching.any() and not (touching & usable).any())
-
-
-def _names(loads: Sequence[LoadObservation]) -> str:
-    named = [_name(load) for load in loads[:_NAMED]]
-    others_named = f" and {len(loads) - _NAMED} more" if len(loads) > _NAMED else ""
+def _name_loads(loads: Sequence[LoadObservation]) -> str:
+    presses = [load.record.load for load in loads[:_MAX_NAMED_LOADS]]
+    named = [f"{press.label} at ({press.x_mm:g}, {press.y_mm:g}) mm, trial {press.trial}" for press in presses]
+    others_named = f" and {len(loads) - _MAX_NAMED_LOADS} more" if len(loads) > _MAX_NAMED_LOADS else ""
     return ", ".join(named) + others_named
-
-
-def _name(load: LoadObservation) -> str:
-    place = load.record.load
-    return f"{place.label} at ({place.x_mm:g}, {place.y_mm:g}) mm, trial {place.trial}"

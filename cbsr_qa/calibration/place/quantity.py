@@ -23,7 +23,7 @@ from scipy.optimize import Bounds, minimize
 from scipy.special import stdtrit
 
 from cbsr_qa.calibration.force.inverse import Flag
-from cbsr_qa.calibration.place.drift import Drift, Session, find_drift
+from cbsr_qa.calibration.place.drift import Session, find_drift
 from cbsr_qa.calibration.place.features import compute_squared_distances, matern
 from cbsr_qa.calibration.place.held_out import evenly, mean_by_place
 from cbsr_qa.calibration.place.mixture import LEVELS
@@ -32,7 +32,7 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity, QuantityScales
 
 #: Number of presses that are kept, and of those for hyperparameters: the modelled function is smooth.
-_KEPT: Final = 400
+_MAX_KEPT_PRESSES: Final = 400
 _FOR_SCALES: Final = 150
 _ITERATIONS: Final = 30  # L-BFGS
 #: Variance of the line, in units of the spread: any line is likely.
@@ -135,7 +135,7 @@ def learn_quantity(
     """
     recheck_count = 0 if session is None else session.late
     kept_presses = np.append(
-        evenly(len(values) - recheck_count, _KEPT - recheck_count),
+        evenly(len(values) - recheck_count, _MAX_KEPT_PRESSES - recheck_count),
         np.arange(len(values) - recheck_count, len(values)),
     )
     values = values[kept_presses]
@@ -143,18 +143,19 @@ def learn_quantity(
         np.arange(len(kept_presses)) if visits is None else np.unique(visits[kept_presses], return_inverse=True)[1]
     )
     data = _Data(bool((values > 0).all()), centre_mm, strength[kept_presses], places_mm[kept_presses], values)
-    errors = _errors(data, visits)
+    errors = _leave_out_places(data, visits)
     drift = None
     if session is not None:
         weakness = np.median(data.strength) / data.strength
         drift = find_drift(errors[:, None], weakness[:, None], session.select(kept_presses), certain=drifts)
     later_drift = (0.0, 0.0)
     if drift is not None:
-        later_drift = _estimate_later_drift(drift, errors, weakness)
-        process = _Process(_likely_scales(data, np.arange(len(kept_presses))), data)
+        drift_size = np.sqrt(drift.variances * (errors**2).mean())
+        later_drift = float(drift_size[0]), float(drift_size[1] / np.sqrt((weakness**2).mean()))
+        process = _Process(_fit_scales(data, np.arange(len(kept_presses))), data)
         data = replace(data, values=process.unscale(process.y + drift.since[:, 0]))
-        errors = _errors(data, visits)
-    scales = _likely_scales(data, np.arange(len(kept_presses)))
+        errors = _leave_out_places(data, visits)
+    scales = _fit_scales(data, np.arange(len(kept_presses)))
     process = _Process(scales, data)
     stderr = process.leave_out(visits)[1]
     main_presses = np.arange(len(kept_presses) - recheck_count)
@@ -162,16 +163,6 @@ def learn_quantity(
         (np.abs(errors) / stderr)[main_presses],
         np.abs(data.values - process.unscale(process.y - errors))[main_presses],
     )
-    half_mask = visits[main_presses] % 2 == 1
-    coverage = [
-        np.mean(
-            [
-                (ratio[tested_mask] <= _quantile(ratio[~tested_mask], level)).mean()
-                for tested_mask in (half_mask, ~half_mask)
-            ]
-        )
-        for level in LEVELS
-    ]
     error, error_stderr = mean_by_place(absolute_error, visits[main_presses])
     return LearnedQuantity(
         data.logarithmic,
@@ -183,26 +174,33 @@ def learn_quantity(
         quantiles=np.array([_quantile(ratio, level) for level in LEVELS]),
         error=error,
         error_stderr=error_stderr,
-        covered=np.array(coverage),
+        covered=_measure_coverage(ratio, visits[main_presses]),
         drift=later_drift[0],
         weak_drift=later_drift[1],
     )
 
 
-def _errors(data: "_Data", visits: Indices) -> Array:
+def _leave_out_places(data: "_Data", visits: Indices) -> Array:
     """Errors (n,) of presses left out with all at their place, with hyperparameters of half of the other places."""
     errors = np.empty(len(visits))
     for half in (0, 1):
         half_presses = np.flatnonzero(visits % 2 == half)
-        process = _Process(_likely_scales(data, np.flatnonzero(visits % 2 != half)), data)
+        process = _Process(_fit_scales(data, np.flatnonzero(visits % 2 != half)), data)
         errors[half_presses] = process.leave_out(visits)[0][half_presses]
     return errors
 
 
-def _estimate_later_drift(drift: Drift, errors: Array, weak: Array) -> tuple[float, float]:
-    """Standard deviations of what drift adds later, to all values and, times 1 / strength, to a median press."""
-    size = np.sqrt(drift.variances * (errors**2).mean())
-    return float(size[0]), float(size[1] / np.sqrt((weak**2).mean()))
+def _measure_coverage(ratio: Array, visits: Indices) -> Array:
+    """Share of errors within the quantiles of the other half of the places, (levels,); ratio in standard errors."""
+    half_mask = visits % 2 == 1
+    shares = [
+        [
+            (ratio[tested_mask] <= _quantile(ratio[~tested_mask], level)).mean()
+            for tested_mask in (half_mask, ~half_mask)
+        ]
+        for level in LEVELS
+    ]
+    return np.array([np.mean(halves) for halves in shares])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -306,7 +304,7 @@ def _noise(scales: QuantityScales, u: Array) -> Array:
     return _LEAST_NOISE + scales.noise + scales.weak_noise * np.exp(-2 * u)
 
 
-def _likely_scales(data: _Data, presses: Indices) -> QuantityScales:
+def _fit_scales(data: _Data, presses: Indices) -> QuantityScales:
     """Hyperparameters from some presses, by maximum marginal likelihood times priors."""
     sample = data.select(presses[evenly(len(presses), _FOR_SCALES)])
     start = np.log(_MEDIANS)

@@ -24,18 +24,18 @@ from cbsr_qa.system.foreign import UnfitFileError, open_foreign
 from cbsr_qa.system.untrusted import largest_content, read_untrusted
 
 #: Largest size of a file: more than that of a table of a hundred thousand presses.
-_LARGEST_BYTES: Final = 2**29
+_MAX_FILE_BYTES: Final = 2**29
 #: Largest number of columns: the readings in a frame of a sensor of 256 electrodes.
-_MOST_COLUMNS: Final = 2**16
+_MAX_COLUMNS: Final = 2**16
 #: Largest length of a line: so many columns, and their commas.
-_LONGEST_LINE: Final = 32 * _MOST_COLUMNS
+_MAX_LINE_LENGTH: Final = 32 * _MAX_COLUMNS
 #: Largest number of any column.
-_LARGEST: Final = 1e12
+_MAX_NUMBER: Final = 1e12
 _CORRECT: Final = "correct the table and try again; row 1 is the first below the header"
 _TOO_MUCH: Final = "give a table with a row per press and a column per reading"
 #: Number of problems of a table that are listed.
-_MOST_LISTED: Final = 10
-_LONGEST_CELL: Final = 40
+_MAX_LISTED_CELLS: Final = 10
+_MAX_CELL_LENGTH: Final = 40
 #: Rows of a Parquet file that are decoded at once.
 _AT_ONCE: Final = 1024
 #: Module that reads Parquet.
@@ -67,8 +67,16 @@ class NumberTable:
         """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
         chosen_columns = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
         values: Array = self.values if names is None else self.values[:, chosen_columns]
-        unusable = np.argwhere(~(np.abs(values) <= _LARGEST))
-        described = [self._describe_cell(row, chosen_columns[k]) for row, k in unusable[:_MOST_LISTED].tolist()]
+        unusable = np.argwhere(~(np.abs(values) <= _MAX_NUMBER))
+        described = []
+        for row, k in unusable[:_MAX_LISTED_CELLS].tolist():
+            value, column = values[row, k], chosen_columns[k]
+            why = (
+                f"{value:g}; at most {_MAX_NUMBER:g} is allowed"
+                if np.isfinite(value)
+                else self.odd_cells[row, column]
+            )
+            described.append(f"row {row + 1}, column {self.columns[column]}: {why}")
         self.refuse(described, more=len(unusable) - len(described))
         return values
 
@@ -76,17 +84,12 @@ class NumberTable:
         """Raise RecordingError with the problems of the table, if any, and how many more there are."""
         _refuse(self.path, problems, remedy, more)
 
-    def _describe_cell(self, row: int, column: int) -> str:
-        value = self.values[row, column]
-        why = f"{value:g}; at most {_LARGEST:g} is allowed" if np.isfinite(value) else self.odd_cells[row, column]
-        return f"row {row + 1}, column {self.columns[column]}: {why}"
-
 
 def _refuse(path: Path, problems: Sequence[str], remedy: str, more: int = 0) -> None:
     if problems:
-        more += max(len(problems) - _MOST_LISTED, 0)
+        more += max(len(problems) - _MAX_LISTED_CELLS, 0)
         other_problems = f"; and {more} more" if more else ""
-        raise RecordingError(f"{path}: {'; '.join(problems[:_MOST_LISTED])}{other_problems}", remedy=remedy)
+        raise RecordingError(f"{path}: {'; '.join(problems[:_MAX_LISTED_CELLS])}{other_problems}", remedy=remedy)
 
 
 def read_table(path: Path) -> NumberTable:
@@ -111,7 +114,7 @@ def _is_parquet(path: Path) -> bool:
 
 def _content(path: Path) -> _Content:
     try:
-        with open_foreign(path, _LARGEST_BYTES) as file:
+        with open_foreign(path, _MAX_FILE_BYTES) as file:
             return _parquet(path, file, _parquet_reader(path)) if _is_parquet(path) else _csv(path, file)
     except UnfitFileError as error:
         raise RecordingError(f"{path} cannot be read: {error.strerror}", remedy=_TOO_MUCH) from error
@@ -149,11 +152,11 @@ def _csv(path: Path, file: BinaryIO) -> _Content:
 
 
 def _short_lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
-    while line := text.readline(_LONGEST_LINE):
-        if len(line) == _LONGEST_LINE:
+    while line := text.readline(_MAX_LINE_LENGTH):
+        if len(line) == _MAX_LINE_LENGTH:
             raise RecordingError(
-                f"{path} has a line of {_LONGEST_LINE} characters or more; a table has at most"
-                f" {_MOST_COLUMNS} columns",
+                f"{path} has a line of {_MAX_LINE_LENGTH} characters or more; a table has at most"
+                f" {_MAX_COLUMNS} columns",
                 remedy=_TOO_MUCH,
             )
         yield line
@@ -213,11 +216,11 @@ def _parquet(path: Path, file: BinaryIO, parquet: Any) -> _Content:
 
 
 def _check_columns(path: Path, columns: Sequence[str], rows: int) -> None:
-    if len(columns) > _MOST_COLUMNS:
+    if len(columns) > _MAX_COLUMNS:
         raise RecordingError(
-            f"{path} has {len(columns)} columns; a table has at most {_MOST_COLUMNS}", remedy=_TOO_MUCH
+            f"{path} has {len(columns)} columns; a table has at most {_MAX_COLUMNS}", remedy=_TOO_MUCH
         )
-    twice = sorted(name for name, times in Counter(columns).items() if times > 1)[:_MOST_LISTED]
+    twice = sorted(name for name, times in Counter(columns).items() if times > 1)[:_MAX_LISTED_CELLS]
     if twice:
         raise RecordingError(
             f"{path}: the header names {', '.join(map(repr, twice))} more than once", remedy=_CORRECT
@@ -238,10 +241,12 @@ class _Numbers:
     def add(self, cells: Sequence[object]) -> None:
         values = [_number(cell) for cell in cells]
         self._values.extend(values)
-        for column in (k for k, value in enumerate(values) if math.isnan(value) and self._shown[k] < _MOST_LISTED):
+        for column in (
+            k for k, value in enumerate(values) if math.isnan(value) and self._shown[k] < _MAX_LISTED_CELLS
+        ):
             self._shown[column] += 1
             cell = cells[column]
-            description = "empty" if cell in ("", None) else f"{str(cell)[:_LONGEST_CELL]!r}, not a finite number"
+            description = "empty" if cell in ("", None) else f"{str(cell)[:_MAX_CELL_LENGTH]!r}, not a finite number"
             self._odd_cells[self._rows, column] = description
         self._rows += 1
 

@@ -11,7 +11,7 @@ import numpy as np
 
 from cbsr_qa.calibration.place.held_out import evenly
 from cbsr_qa.calibration.presses.likeness import Likeness, alikeness, answering_side
-from cbsr_qa.calibration.presses.pose import ROTATIONS, Complex, Pose, PoseSearch, to_complex
+from cbsr_qa.calibration.presses.pose import ROTATIONS, Pose, PoseSearch, to_complex
 from cbsr_qa.calibration.presses.weak_loads import ModelledSheet
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Indices
@@ -82,11 +82,14 @@ def register_presses(
     pose, value = best[sign, mirrored]
     label_places = pose.to_labels(likeness[sign].best_places())
     places = pose.places(to_complex(place_mm))
+    # Share of the spread of places that the estimate explains, by medians of squared distances.
+    spread = np.abs(search.labelled - np.median(search.labelled.real) - 1j * np.median(search.labelled.imag))
+    place_share = 1 - float(np.median(np.abs(label_places - search.labelled) ** 2) / np.median(spread**2))
     registration = _registration(
         pose,
         search.errors(likeness[sign], pose),
         stated_mm,
-        place_share=_place_share(label_places, search.labelled),
+        place_share=place_share,
         signal_share=_signal_share(sheet, pairs, sign * changes, places),
         evidence=value - max(best[other, not mirrored][1] for other in likeness),
     )
@@ -173,12 +176,6 @@ def _doubts(place_share: float, signal_share: float, evidence: float) -> str:
             f" {_LEAST_EVIDENCE:g} is needed"
         )
     return ""
-
-
-def _place_share(seen: Complex, labelled: Complex) -> float:
-    """Share of the spread of places explained by an estimate, by medians of squared distances."""
-    spread = np.abs(labelled - np.median(labelled.real) - 1j * np.median(labelled.imag))
-    return 1 - float(np.median(np.abs(seen - labelled) ** 2) / np.median(spread**2))
 
 
 def _signal_share(sheet: ModelledSheet, pairs: Indices, changes: Array, places: Array) -> float:

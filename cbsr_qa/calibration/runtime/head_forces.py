@@ -30,10 +30,9 @@ from cbsr_qa.domain.goodness import unlike_model
 from cbsr_qa.domain.numbers import Array, Indices, Mask, real_numbers
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import ForceModel
-from cbsr_qa.domain.results.learned_place import LearnedPlace
 
 if TYPE_CHECKING:
-    from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
+    pass
 
 #: Detectability of a load at a given place.
 _CLEAR: Final = 3.0
@@ -66,7 +65,13 @@ class HeadForces(SensorFrames):
         self._size_error = SizeError(model, self.issued.indenter.radius_mm)
         # It was learned from all readings.
         learned = self.issued.place if model is self.issued.force else None
-        self._pressed = None if learned is None else _make_pressed_place(learned.learned, model)
+        if learned is None:
+            self._pressed = None
+        else:
+            # Here because it imports for a second, and few calibrations have a learned place.
+            from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
+
+            self._pressed = PressedPlace(learned.learned, model.merging)
         self.least_force_N = self._least_force_N()
 
     def force(
@@ -330,10 +335,3 @@ class HeadForces(SensorFrames):
         flags |= np.isnan(detectability) * int(Flag.OUTSIDE)  # no head is possible there
         flags |= (detected_mask & (matches.strength * self.sign < 0)) * int(Flag.WRONG_SIGN)
         return flags
-
-
-def _make_pressed_place(learned: LearnedPlace, model: ForceModel) -> "PressedPlace":
-    # Here because it imports for a second, and few calibrations have a learned place.
-    from cbsr_qa.calibration.runtime.pressed_place import PressedPlace
-
-    return PressedPlace(learned, model.merging)

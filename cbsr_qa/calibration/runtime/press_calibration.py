@@ -289,6 +289,10 @@ def _make_touches(
         name: TouchValues(quantity.values, quantity.within_68, quantity.within_95)
         for name, quantity in quantities.items()
     }
+    modelled_touches = None
+    if modelled is not None:
+        explained: Array = 1 / (1 + ALLOWANCE * modelled.misfit)
+        modelled_touches = ModelledTouches(modelled.place_mm, modelled.covariance_mm2, explained, modelled.in_model)
     return Touches(
         touch=(flags & int(Flag.UNREADABLE | Flag.NOT_DETECTED)) == 0,
         flags=flags,
@@ -299,10 +303,5 @@ def _make_touches(
         covariance_mm2=places.covariance_mm2,
         force=values.get("force"),
         depth=values.get("depth"),
-        modelled=None if modelled is None else _make_modelled(modelled),
+        modelled=modelled_touches,
     )
-
-
-def _make_modelled(places: Places) -> ModelledTouches:
-    explained: Array = 1 / (1 + ALLOWANCE * places.misfit)
-    return ModelledTouches(places.place_mm, places.covariance_mm2, explained, places.in_model)

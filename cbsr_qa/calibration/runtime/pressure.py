@@ -7,14 +7,13 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from cbsr_qa.calibration.force.inverse import LEFT_OUT, NO_FORCE
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
-from cbsr_qa.domain.numbers import Array, Indices, Mask
-from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.sensor.mesh import Mesh
 
 #: Spacing, in nodes of the map, of the places where the image's gain is computed: 5 mm on the 100 mm disc.
 _STRIDE = 4
 #: Least gain over the usual one.
-_FAINTEST = 0.2
+_MIN_RELATIVE_GAIN = 0.2
 
 
 class PressureMap:
@@ -73,12 +72,13 @@ class _Homogeneous:
     def __init__(self, calibration: Calibration) -> None:
         model = calibration.model
         nodes_mm = model.lattice.places_mm()[model.node.ravel() >= 0]
-        fitting = np.flatnonzero(model.fits & _every(_STRIDE, model))
+        rows, columns = np.nonzero(model.node >= 0)
+        fitting = np.flatnonzero(model.fits & (rows % _STRIDE == 0) & (columns % _STRIDE == 0))
         # Every node of a coarse lattice is used.
         if np.linalg.matrix_rank(nodes_mm[fitting] - nodes_mm[fitting].mean(axis=0)) < 2:
             fitting = np.flatnonzero(model.fits)
         places = nodes_mm[fitting]
-        values = _gains(calibration, fitting, places) * np.exp(model.log_response[fitting])
+        values = _compute_gains(calibration, fitting, places) * np.exp(model.log_response[fitting])
         self._between = LinearNDInterpolator(places, values)
         self._nearest = NearestNDInterpolator(places, values)
 
@@ -88,7 +88,7 @@ class _Homogeneous:
         return np.where(np.isfinite(interpolated), interpolated, self._nearest(places_mm))
 
 
-def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
+def _compute_gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
     """Mean image (n,) under the head per contrast, from the templates of nodes (n,) at places (n, 2)."""
     issued, model = calibration.issued, calibration.model
     rows = model.templates[nodes] * np.exp(model.log_size[nodes])[:, None]
@@ -102,10 +102,4 @@ def _gains(calibration: Calibration, nodes: Indices, places_mm: Array) -> Array:
         gains[number] = float(images[number] @ head_weight / head_weight.sum()) if head_weight.any() else np.nan
     typical = float(np.nanmedian(gains))
     # An image that is almost zero under a head cannot be corrected there.
-    return np.where(gains > _FAINTEST * typical, gains, _FAINTEST * typical)
-
-
-def _every(stride: int, model: ForceModel) -> Mask:
-    rows, columns = np.nonzero(model.node >= 0)
-    chosen_mask: Mask = (rows % stride == 0) & (columns % stride == 0)
-    return chosen_mask
+    return np.where(gains > _MIN_RELATIVE_GAIN * typical, gains, _MIN_RELATIVE_GAIN * typical)

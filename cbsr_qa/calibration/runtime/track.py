@@ -5,58 +5,16 @@ from typing import Final
 import numpy as np
 from numpy.typing import ArrayLike
 
-from cbsr_qa.calibration.fits.steady_state import HoldsSoFar
+from cbsr_qa.calibration.runtime.hold_onset import UnsureHold
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import ForceModel
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
-#: Possible durations of a press, from a tap to a slow indenter [s], and its possible end relative to the assumed one
-#: [frames], each with prior weights.
-_RAMPS_S: Final = np.array([0.3, 1.2, 3.0])
-_OF_RAMPS: Final = np.array([0.25, 0.5, 0.25])
-_ENDS: Final = np.array([-0.5, -0.25, 0.0, 0.25])
-_OF_ENDS: Final = np.array([0.1, 0.2, 0.5, 0.2])
-#: Half a frame over the fastest time constant that is averaged.
-_LONGEST: Final = 20.0
-
-
-class UnsureHold:
-    """One hold as observed in frames, with an unobserved ramp before it.
-
-    Each pair of a ramp's length and end has a separate regression (``HoldsSoFar``);
-    they are averaged with their likelihoods.
-    """
-
-    def __init__(self, kernel: RelaxationKernel, frame_s: float) -> None:
-        ramps, ends = (grid.ravel() for grid in np.meshgrid(_RAMPS_S, _ENDS * frame_s))
-        self._prior: Array = np.log(np.outer(_OF_ENDS, _OF_RAMPS).ravel())
-        self._late_s = ends
-        self.frames = 0
-        fastest_s = float(kernel.time_constants_s[0]) if len(kernel.time_constants_s) else np.inf
-        seen_s = min(frame_s, 2 * _LONGEST * fastest_s)
-        self._holds = HoldsSoFar(kernel, len(ramps), ramp_s=ramps, frame_s=seen_s)
-
-    def add(self, held_s: float, value: float, noise: float) -> None:
-        """Add a frame: time since the assumed end of the ramp, strength and its standard deviation."""
-        self.frames += 1
-        self._holds.add(np.maximum(held_s - self._late_s, 0.0), value, noise)
-
-    def predict(self, at_s: float) -> tuple[float, float]:
-        """Strength at a time after the ramp's end, and its standard error."""
-        predictions = self._holds.predict(at_s=at_s)
-        log_weight = self._prior - predictions.misfit * predictions.spare / 2
-        weight = np.exp(log_weight - log_weight.max())
-        weight /= weight.sum()
-        value = float(weight @ predictions.values)
-        variance = float(weight @ (predictions.stderr**2 + (predictions.values - value) ** 2))
-        return value, float(np.sqrt(variance))
-
-
 #: Frames that determine the state of a new load's place before it.
 KEPT: Final = 8
 #: A load is released when its strength falls by this share of its largest, and by so many standard errors.
-_DROP: Final = 0.2
-_CLEAR: Final = 5.0
+_MIN_DROP_SHARE: Final = 0.2
+_MIN_NOISE_RATIO: Final = 5.0
 #: A first frame with less than this share of the value expected from the second was taken while the head moved.
 _PARTIAL: Final = 0.75
 #: A load has changed when its strength is so many standard errors, and this share, off its hold's; and changes again
@@ -235,8 +193,11 @@ class Track:
 
     def _press(self, time_s: float, frame_s: float, model: ForceModel) -> None:
         towards = self.sign * self.strength
-        if self._largest - towards > max(_DROP * self._largest, _CLEAR * self.noise):
-            self._release(time_s - frame_s / 2)
+        if self._largest - towards > max(_MIN_DROP_SHARE * self._largest, _MIN_NOISE_RATIO * self.noise):
+            self._pressed_s = self.since_s
+            self.state, self.since_s = "unloading", time_s - frame_s / 2
+            self._released = self.sign * self._largest
+            self._hold = self._promise = self._first = None
             return
         self._largest = max(self._largest, towards)
         share = model.residue_share
@@ -304,12 +265,6 @@ class Track:
         if len(self._last) > _LAST and self._promise is not None:
             self._promise.add(*self._last.pop(0))
 
-    def _release(self, time_s: float) -> None:
-        self._pressed_s = self.since_s
-        self.state, self.since_s = "unloading", time_s
-        self._released = self.sign * self._largest
-        self._hold = self._promise = self._first = None
-
     def _lighten(self, time_s: float) -> None:
         self.state, self.since_s = "loading", self._pressed_s
         self._changed = (time_s, self.strength - self.base_now)
@@ -324,7 +279,10 @@ class Track:
             remaining_share = float(_remaining_share(model.unloading, held_s))
             rate = float(_remaining_share(model.unloading, held_s + since_last_s)) / remaining_share
             largest_share = remaining_share + _STAYS
-            if self.sign * self.strength > max(largest_share * self._released, _CLEAR * self.noise) and held_s > 0:
+            if (
+                self.sign * self.strength > max(largest_share * self._released, _MIN_NOISE_RATIO * self.noise)
+                and held_s > 0
+            ):
                 self._lighten(time_s)
                 return
         self.expected = self.strength * float(np.clip(rate, 0.0, 1.0))

@@ -10,10 +10,10 @@ from cbsr_qa.domain.imaging import Blob
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import BaselineConductance
 from cbsr_qa.domain.results.observation import LoadObservation
-from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response
+from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Response
 
 #: The predicted relative change must be this many of its own standard errors from zero.
-_CLEAR: Final = 3.0
+_MIN_STDERRS: Final = 3.0
 #: Qualifier of a value by whether its load was settled; None if no settling time is known.
 _REMARKS: Final = {
     True: "",
@@ -70,9 +70,13 @@ def load_baseline(
         return LoadBaseline(None, None, f"the sensed change {change:.3g} does not have the sign of the response")
     value = change / predicted
     noise = measure_sensed_change(noise_images, view.sensed, load.response)
-    of_change = float(np.sqrt(np.mean(noise**2) / max(load.steady_frames, 1))) / change
-    of_stress = _stress_error(load, against_stress.slope, predicted)
-    return LoadBaseline(value, value * float(np.hypot(of_change, of_stress)), _REMARKS[load.settled])
+    change_error = float(np.sqrt(np.mean(noise**2) / max(load.steady_frames, 1))) / change
+    stress_error = 0.0
+    if load.force_stderr_N is not None:
+        stress_error = (
+            abs(against_stress.slope.value) * load.force_stderr_N / load.indenter.area_mm2 * 1e3 / predicted
+        )
+    return LoadBaseline(value, value * float(np.hypot(change_error, stress_error)), _REMARKS[load.settled])
 
 
 def predict_change(against_stress: QuasiStatic, stress_kPa: float) -> tuple[float, float]:
@@ -116,7 +120,7 @@ def _predict_signed(against_stress: QuasiStatic, stress_kPa: float, response: Re
     """Predicted change in the direction of the response, and why it is unusable; empty if it is usable."""
     predicted, error = predict_change(against_stress, stress_kPa)
     prediction = f"α σ + β = {predicted:.3g} ± {error:.2g} at {stress_kPa:.3g} kPa"
-    if predicted == 0 or abs(predicted) < _CLEAR * error:
+    if predicted == 0 or abs(predicted) < _MIN_STDERRS * error:
         return 0.0, f"{prediction} is not clear of zero"
     signed = response.sign * predicted
     if signed < 0:
@@ -127,9 +131,3 @@ def _predict_signed(against_stress: QuasiStatic, stress_kPa: float, response: Re
             f" {decided}",
         )
     return signed, ""
-
-
-def _stress_error(load: LoadObservation, slope: Parameter, predicted: float) -> float:
-    if load.force_stderr_N is None:
-        return 0.0
-    return abs(slope.value) * load.force_stderr_N / load.indenter.area_mm2 * 1e3 / predicted

@@ -56,6 +56,7 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
     )
     why = "no location was pressed at a nominal strain by itself"
     modelled: dict[tuple[float, float], np.ndarray] = {}
+    reconstruction, problem = run.reconstruction, run.reconstruction.problem
     for load in loads:
         stress = run.record.material.against_stress
         baseline = load_baseline(load, stress, run.noise_images, run.main_mask)
@@ -64,7 +65,9 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
             why = baseline.why
             continue
         if load.place_mm not in modelled:
-            modelled[load.place_mm] = _image_of_head(run, load)
+            # Image of the head with a contrast of one, of the sign of the response, (e,).
+            share = overlap_mm2(load.pressed, problem.mesh.corners_mm) / problem.mesh.areas_mm2
+            modelled[load.place_mm] = load.response.sign * (reconstruction.matrix @ (problem.jacobian @ share))
         image = modelled[load.place_mm]
         gain = float(measure_sensed_change(image, view.sensed, load.response))
         if not gain > _ON_HEAD * float(np.abs(image).max()):
@@ -75,14 +78,11 @@ def place_responses(run: RunObservation, loads: Sequence[LoadObservation]) -> tu
     if not by_strain:
         raise NumericsError(f"no location gave a baseline conductance: {why}")
     strain = max(by_strain, key=lambda level: (len(by_strain[level]), level))
-    return tuple(_place(place, values) for place, values in by_strain[strain].items()), strain
-
-
-def _image_of_head(run: RunObservation, load: LoadObservation) -> np.ndarray:
-    """Image of the head at a load's place with a contrast of one, of the sign of the response, (e,)."""
-    problem = run.reconstruction.problem
-    share = overlap_mm2(load.pressed, problem.mesh.corners_mm) / problem.mesh.areas_mm2
-    return np.asarray(load.response.sign * (run.reconstruction.matrix @ (problem.jacobian @ share)))
+    responses = []
+    for place, values in by_strain[strain].items():
+        baselines, gained = zip(*values, strict=True)
+        responses.append(PlaceResponse(*place, float(np.mean(baselines)), gained))
+    return tuple(responses), strain
 
 
 def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
@@ -93,8 +93,3 @@ def scatter_of_presses(places: Sequence[PlaceResponse]) -> float | None:
     except NumericsError:
         return None
     return single / mean * float(np.sqrt(np.mean([1 / len(place.responses) for place in places])))
-
-
-def _place(place: tuple[str, float, float], values: Sequence[tuple[float, float]]) -> PlaceResponse:
-    baseline = float(np.mean([baseline_value for baseline_value, _ in values]))
-    return PlaceResponse(*place, baseline, tuple(response for _, response in values))

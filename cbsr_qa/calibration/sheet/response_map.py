@@ -7,7 +7,6 @@ mean response, which, since responses are relative to the field of the head itse
 sensitivity.
 """
 
-from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -16,6 +15,13 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import solve_triangular
 
+from cbsr_qa.calibration.sheet.response_processes import (
+    Process,
+    combine_loads,
+    compute_covariance,
+    condition_family,
+    predict_processes,
+)
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import ForceModel
@@ -23,14 +29,8 @@ from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 #: Correlation lengths of the response, over the sheet's radius.
 _LENGTHS: Final = np.array([0.16, 0.22, 0.3, 0.4, 0.54, 0.72, 1.0, 1.4])
-#: Relative deviations of the response over the sheet.
-_DEVIATIONS: Final = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
 #: Relative scatter of single loads beyond their noise.
 _SCATTERS: Final = np.array([0.0, 0.005, 0.01, 0.02, 0.04])
-#: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): typical repeatability of
-#: presses, and typical variation of moulded sheets. Chosen by us.
-_USUAL_SCATTER: Final = 0.02
-_USUAL_DEVIATION: Final = 0.2
 #: Least weight of members that are kept. Members are many after few loads: at 1e-4 those dropped made stated errors
 #: 4 % too small with ten loads.
 _NEGLIGIBLE: Final = 1e-5
@@ -45,90 +45,6 @@ _UNKNOWN_INTERCEPT: Final = 0.02
 FEWEST: Final = 3
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class _Data:
-    """Loads at p places, combined (exactly) if pressed at the same place.
-
-    Parameters
-    ----------
-    root_weight : (p,) square root of the loads' summed weights 1/variance.
-    scaled : (p, k + 1) weighted means of the mean's k columns and of the values, times ``root_weight``.
-    within : (k + 1, k + 1) weighted products of the deviations from those means.
-    log_variance : sum over the loads.
-    known : (k, k) prior precision of the mean's coefficients.
-    """
-
-    root_weight: Array
-    scaled: Array
-    within: Array
-    log_variance: float
-    known: Array
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Member:
-    """The process with one choice of its hyperparameters.
-
-    Parameters
-    ----------
-    smooth : True for a Gaussian covariance; False for Matérn 5/2.
-    root_weight : (p,) root of the weight of each place, the same as in the data.
-    root : (p, p) Cholesky factor of one plus the process's covariance times the weights.
-    data, drift : (p,), (p, k) data and columns of the mean, weighted and solved with ``root``.
-    mean, mean_root : (k,) coefficients of the mean and the Cholesky factor (k, k) of their precision.
-    """
-
-    smooth: bool
-    length_mm: float
-    deviation: float
-    scatter: float
-    root_weight: Array
-    root: Array
-    data: Array
-    drift: Array
-    mean: Array
-    mean_root: Array
-
-    def solve_kernel(self, kernel: Array) -> Array:
-        return solve_triangular(self.root, self.root_weight[:, None] * kernel, lower=True)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class _Family:
-    """Processes of one kind and length: d deviations by s scatters of them.
-
-    Parameters
-    ----------
-    scatter, root_weight : (s,) scatters and (s, p) root weights of the members.
-    root, solved, mean, mean_root : (d, s, ...) matrices of the members, ``solved`` being ``drift`` and ``data`` side
-        by side.
-    score : (d, s) logarithms of the members' weights: marginal likelihood times prior.
-    """
-
-    smooth: bool
-    length_mm: float
-    scatter: Array
-    root_weight: Array
-    root: Array
-    solved: Array
-    mean: Array
-    mean_root: Array
-    score: Array
-
-    def member(self, d: int, s: int) -> _Member:
-        solved = self.solved[d, s]
-        hyperparameters = (
-            self.smooth,
-            self.length_mm,
-            float(_DEVIATIONS[d]),
-            float(self.scatter[s]),
-            self.root_weight[s],
-        )
-        return _Member(
-            *hyperparameters, self.root[d, s], solved[:, -1], solved[:, :-1], self.mean[d, s], self.mean_root[d, s]
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class ResponseMap:
     """A learned map.
@@ -140,7 +56,7 @@ class ResponseMap:
     """
 
     places_mm: Array
-    members: tuple[_Member, ...]
+    members: tuple[Process, ...]
     weights: Array
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
@@ -149,8 +65,8 @@ class ResponseMap:
         kinds = [(member.smooth, member.length_mm) for member in self.members]
         for kind in dict.fromkeys(kinds):
             among = [number for number, other in enumerate(kinds) if other == kind]
-            kernel = _covariance(self.places_mm, places_mm, kind[1], kind[0])
-            means[among], variances[among] = _predict([self.members[number] for number in among], kernel)
+            kernel = compute_covariance(self.places_mm, places_mm, kind[1], kind[0])
+            means[among], variances[among] = predict_processes([self.members[number] for number in among], kernel)
         mean: Array = self.weights @ means
         variance: Array = self.weights @ (variances + (means - mean) ** 2)
         return mean, np.maximum(variance, 0.0)
@@ -166,25 +82,12 @@ class ResponseMap:
         if self.members[0].drift.shape[1] < 2:
             return 0.0, 0.0
         values = np.array([member.mean[1] for member in self.members])
-        own_variances = np.array([_variances(member)[1] for member in self.members])
+        inverses = [
+            solve_triangular(member.mean_root, np.eye(len(member.mean_root)), lower=True) for member in self.members
+        ]
+        own_variances = np.array([(inverse**2).sum(axis=0)[1] for inverse in inverses])
         mean = float(self.weights @ values)
         return mean, float(self.weights @ (own_variances + (values - mean) ** 2))
-
-
-def _predict(members: Sequence[_Member], kernel: Array) -> tuple[Array, Array]:
-    """Means and variances (m, n) of members with one kernel (p, n), at once, as a map may have hundreds of them."""
-    deviation, root_weight, root, data, drift, mean, mean_root = (
-        np.array([getattr(member, name) for member in members])
-        for name in ("deviation", "root_weight", "root", "data", "drift", "mean", "mean_root")
-    )
-    prior = deviation[:, None] ** 2
-    whitened_kernel = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
-    mean_residual = -np.swapaxes(drift, 1, 2) @ whitened_kernel
-    mean_residual[:, 0] += 1
-    centred_data = data - (drift @ mean[:, :, None])[..., 0]
-    means = mean[:, :1] + (centred_data[:, None] @ whitened_kernel)[:, 0]
-    spread = np.linalg.solve(mean_root, mean_residual)
-    return means, prior - (whitened_kernel**2).sum(axis=1) + (spread**2).sum(axis=1)
 
 
 def learn_response(
@@ -222,17 +125,18 @@ def learn_response(
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     prior_precision = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
-    places, which = _places(places_mm)
+    places, which = _find_places(places_mm)
     columns_and_values = np.column_stack([columns, log_response])
     data = {
-        float(scatter): _together(
+        float(scatter): combine_loads(
             which, columns_and_values, variance + scatter**2 + _ROUNDING, np.diag(prior_precision)
         )
         for scatter in _SCATTERS
     }
     families = [
-        _family(data, _covariance(places, places, length_mm, smooth), smooth, length_mm)
-        for smooth, length_mm in _kinds(radius_mm)
+        condition_family(data, compute_covariance(places, places, length_mm, smooth), smooth, length_mm)
+        for smooth in (True, False)
+        for length_mm in [float(length * radius_mm) for length in _LENGTHS]
     ]
     score = np.array([family.score for family in families])
     weights = np.exp(score - score.max())
@@ -259,11 +163,7 @@ def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tup
     return 1 / predicted - 1 / middle, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
 
 
-def _kinds(radius_mm: float) -> list[tuple[bool, float]]:
-    return [(smooth, float(length * radius_mm)) for smooth in (True, False) for length in _LENGTHS]
-
-
-def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
+def _find_places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     """Places (p, 2), each once in the order of the loads, and the index of each load's place (n,)."""
     _, first_loads, place_index = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first_loads)
@@ -272,84 +172,12 @@ def _places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     return places_mm[first_loads[order]], rank[place_index.ravel()]
 
 
-def _together(which: NDArray[np.intp], columns: Array, variance: Array, known: Array) -> _Data:
-    """Combine loads of one place: their weighted mean, and the deviations from it, centred before squaring.
-
-    Several observations at a place equal one with the summed weight, except for their scatter about their mean; with
-    it likelihoods and predictions are those of all loads, at the cost of the places.
-    """
-    weight = 1 / variance
-    total = np.bincount(which, weight)
-    means = np.column_stack([np.bincount(which, weight * column) / total for column in columns.T])
-    residual = (columns - means[which]) * np.sqrt(weight)[:, None]
-    root_weight = np.sqrt(total)
-    return _Data(
-        root_weight, means * root_weight[:, None], residual.T @ residual, float(np.log(variance).sum()), known
-    )
-
-
-def _family(data: dict[float, _Data], alike: Array, smooth: bool, length_mm: float) -> _Family:
-    """Processes of correlations (p, p), the mean integrated out."""
-    scatter = np.array(list(data))
-    root_weight = np.array([group.root_weight for group in data.values()])
-    weighted = root_weight[:, :, None] * alike * root_weight[:, None, :]
-    scaled = np.array([group.scaled for group in data.values()])
-    # No eigenvalue below one: nearly coinciding places, and loads without noise, do no harm.
-    root, solved = _solve(np.eye(len(alike)) + _DEVIATIONS[:, None, None, None] ** 2 * weighted, scaled)
-    products = np.swapaxes(solved, -1, -2) @ solved + np.array([group.within for group in data.values()])
-    prior_precision = next(iter(data.values())).known
-    mean_root = np.linalg.cholesky(products[..., :-1, :-1] + prior_precision)
-    pull = np.linalg.solve(mean_root, products[..., :-1, -1:])
-    mean = np.linalg.solve(np.swapaxes(mean_root, -1, -2), pull)[..., 0]
-    misfit = products[..., -1, -1] - (pull**2).sum(axis=(-1, -2))
-    determinants = (
-        np.array([group.log_variance for group in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
-    )
-    # The grid is even in the logarithm of the deviation, so its density includes the deviation as a factor.
-    prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / _USUAL_DEVIATION) ** 2)
-    score = -misfit / 2 - determinants + prior[:, None] - scatter / _USUAL_SCATTER
-    return _Family(smooth, length_mm, scatter, root_weight, root, solved, mean, mean_root, score)
-
-
-def _solve(matrices: Array, right: Array) -> tuple[Array, Array]:
-    """Cholesky factors L of (..., p, p) matrices of no eigenvalue below one, and L⁻¹ B for B (..., p, k)."""
-    p, k = right.shape[-2:]
-    augmented = np.zeros((*matrices.shape[:-2], p + k, p + k))
-    augmented[..., :p, :p] = matrices
-    augmented[..., p:, :p] = np.swapaxes(right, -1, -2)
-    below = np.arange(p, p + k)
-    augmented[..., below, below] = 1 + 2 * (right**2).sum(axis=(-1, -2))[..., None]
-    root = np.linalg.cholesky(augmented)  # only the lower half is read
-    return root[..., :p, :p], np.swapaxes(root[..., p:, :p], -1, -2)
-
-
-def _log_root(roots: Array) -> Array:
-    logs: Array = np.log(np.diagonal(roots, axis1=-2, axis2=-1)).sum(axis=-1)
-    return logs
-
-
-def _variances(member: _Member) -> Array:
-    inverse = solve_triangular(member.mean_root, np.eye(len(member.mean_root)), lower=True)
-    variances: Array = (inverse**2).sum(axis=0)
-    return variances
-
-
-def _covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
-    distance = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
-    if smooth:
-        gaussian: Array = np.exp(-(distance**2) / 2)
-        return gaussian
-    scaled_distance = np.sqrt(5) * distance
-    matern: Array = (1 + scaled_distance + scaled_distance**2 / 3) * np.exp(-scaled_distance)
-    return matern
-
-
 def average_response(response: ResponseMap, places_mm: Array) -> tuple[float, float]:
     """Mean over places (n, 2) of the logarithm of the response, and its variance."""
     means, variances = [], []
     kinds = {(member.smooth, member.length_mm) for member in response.members}
     cross_means, mutual_means = (
-        {kind: _covariance(places, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
+        {kind: compute_covariance(places, places_mm, kind[1], kind[0]).mean(axis=1, keepdims=True) for kind in kinds}
         for places in (response.places_mm, places_mm)
     )
     for member in response.members:

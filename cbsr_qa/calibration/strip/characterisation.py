@@ -117,7 +117,7 @@ def characterise(
         stress=stress,
         relaxation=work.relaxation(),
         lowest_strain=lowest,
-        residue=_as_parameters(work.residue, specimen.source),
+        residue=_make_residue_parameters(work.residue, specimen.source),
         unread=tuple(unread),
         refused=(),
         reduced=(),
@@ -143,6 +143,7 @@ class _Work:
         local, apparent = self._changes(self._separated)
         errors = np.hypot(self._separated.level_stderr[0::2], self._values_before(self._separated.level_stderr))
         end_s = self._settings.end_s
+        held_ends = [float(cycle.held[cycle.held_s > cycle.held_s[-1] - end_s].mean()) for cycle in self._readings]
         return tuple(
             CycleChange(
                 load=cycle.load,
@@ -152,8 +153,8 @@ class _Work:
                 apparent_stderr=float(errors[k]) * self._specimen.strip.share,
                 local=float(local[k]),
                 local_stderr=float(errors[k]),
-                from_before=(1 + _end(cycle.held_s, cycle.held, end_s)) / (1 + float(cycle.before.mean())) - 1,
-                from_rested=_end(cycle.held_s, cycle.held, end_s),
+                from_before=(1 + held_ends[k]) / (1 + float(cycle.before.mean())) - 1,
+                from_rested=held_ends[k],
                 stress_kPa=None if stress is None else float(stress[0][0]),
                 stress_stderr_kPa=None if stress is None else stress[1],
             )
@@ -240,7 +241,7 @@ class _Work:
             levels, levels_before = (
                 self._specimen.other_contacts.local(changes) for changes in (after_pins, before_pins)
             )
-        return levels - levels_before, _relative(after_pins, before_pins)
+        return levels - levels_before, (after_pins - before_pins) / (1 + before_pins)
 
     def _shift_parameters(self) -> dict[str, list[SeparatedSteps]]:
         """The separated steps with shifted time constants and residue."""
@@ -300,15 +301,7 @@ def _steps(cycle: CycleReadings, strip: StripModel) -> tuple[StepTrace, StepTrac
     )
 
 
-def _end(time_s: Array, values: Array, end_s: float) -> float:
-    return float(values[time_s > time_s[-1] - end_s].mean())
-
-
-def _relative(after: Array, before: Array) -> Array:
-    return (after - before) / (1 + before)
-
-
-def _as_parameters(residue: SlowResidue | None, source: str) -> tuple[Parameter, Parameter] | None:
+def _make_residue_parameters(residue: SlowResidue | None, source: str) -> tuple[Parameter, Parameter] | None:
     if residue is None:
         return None
     share, log_decay = np.sqrt(np.diag(residue.covariance))

@@ -10,7 +10,6 @@ import numpy as np
 from cbsr_qa.calibration.fits.quasi_static import QuasiStaticFit, fit_quasi_static
 from cbsr_qa.calibration.sheet.baseline import predict_change
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.characterisation import Characterisation, CycleChange, FittedLine, StrainLevel
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response
 
@@ -30,10 +29,10 @@ def strain_levels(cycles: Sequence[CycleChange]) -> tuple[StrainLevel, ...]:
     is one with some cycles clearly of the other sign.
     """
     strains = sorted({cycle.strain for cycle in cycles})
-    return tuple(_level(strain, [cycle for cycle in cycles if cycle.strain == strain]) for strain in strains)
+    return tuple(_make_level(strain, [cycle for cycle in cycles if cycle.strain == strain]) for strain in strains)
 
 
-def _level(strain: float, members: Sequence[CycleChange]) -> StrainLevel:
+def _make_level(strain: float, members: Sequence[CycleChange]) -> StrainLevel:
     apparent, local = [c.apparent for c in members], [c.local for c in members]
     stress = [c.stress_kPa for c in members if c.stress_kPa is not None]
     level = StrainLevel(
@@ -112,34 +111,27 @@ def fit_line(
 
     try:
         line = fit(changes)
-        shifts = {name: [_shift(line, fit(values)) for values in sets] for name, sets in moved.items()}
+        shifts = {
+            name: [np.array([other.slope - line.slope, other.intercept - line.intercept]) for other in map(fit, sets)]
+            for name, sets in moved.items()
+        }
     except NumericsError as error:
         return FittedLine(None, why=f"{error.reason}; {error.remedy}".removesuffix("; "))
     covariance = line.covariance + sum((np.outer(d, d) for sets in shifts.values() for d in sets), np.zeros((2, 2)))
     error_sources = [("scatter of the cycles", float(np.sqrt(line.covariance[0, 0])))]
     error_sources += [(name, float(np.sqrt(sum(d[0] ** 2 for d in sets)))) for name, sets in shifts.items() if sets]
-    return FittedLine(_as_line(line, covariance, source), tuple(error_sources))
-
-
-def _shift(line: QuasiStaticFit, other: QuasiStaticFit) -> Array:
-    return np.array([other.slope - line.slope, other.intercept - line.intercept])
-
-
-def _as_line(line: QuasiStaticFit, covariance: Array, source: str) -> QuasiStatic:
-    return replace(line, covariance=covariance).as_parameters(source)
+    return FittedLine(replace(line, covariance=covariance).as_parameters(source), tuple(error_sources))
 
 
 def lowest_clear_strain(line: QuasiStatic | None, strains: Sequence[float]) -> float | None:
     """Least of some strains at which α ε + β is three of its standard errors from zero, or None."""
     if line is None:
         return None
-    clear_strains = [strain for strain in sorted(strains) if _is_clear(line, strain)]
-    return clear_strains[0] if clear_strains else None
-
-
-def _is_clear(line: QuasiStatic, strain: float) -> bool:
-    predicted, error = predict_change(line, strain)
-    return abs(predicted) >= CLEAR * error and predicted != 0
+    for strain in sorted(strains):
+        predicted, error = predict_change(line, strain)
+        if abs(predicted) >= CLEAR * error and predicted != 0:
+            return strain
+    return None
 
 
 def fit_modulus(cycles: Sequence[CycleChange], source: str) -> tuple[Parameter | None, Parameter | None, str]:
@@ -196,7 +188,7 @@ def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tup
     """Everything left out, or narrowing the range of use."""
     reasons = [f"left out: {level.why}" for level in material.levels if level.why]
     reasons += why_no_stress
-    reasons += _short(material)
+    reasons += _name_short_holds(material)
     used_strains = [level.strain for level in material.levels if not level.why]
     if material.lowest_strain is not None and material.lowest_strain > min(used_strains):
         reasons.append(
@@ -205,7 +197,7 @@ def why_reduced(material: Characterisation, why_no_stress: Sequence[str]) -> tup
     return tuple(reasons)
 
 
-def _short(material: Characterisation) -> Iterator[str]:
+def _name_short_holds(material: Characterisation) -> Iterator[str]:
     """Holds and rests that end before levels are settled, and so are extrapolated by the fits."""
     for relaxation in material.settlings:
         if relaxation.strain is not None or relaxation.settling.value_s is None or not len(relaxation.time_s):

@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationKernel
 from cbsr_qa.domain.sensor.sensor_type import MeasuredKernel, Relaxation, StripRelaxation
 
 #: Readings that begin later than this many time constants do not determine an exponential's amplitude.
-_LATE: Final = 1.5
+_MAX_START_RATIO: Final = 1.5
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -101,25 +101,21 @@ def unit_kernel(common: CommonRelaxation | None, traces: Sequence[DirectedTrace]
         return Relaxation((0.0, 0.0), (1.0, 10.0), f"{source}; no relaxation stands out of the noise")
     errors = " and ".join(f"{stderr:.2g} s" for stderr in common.fit.time_constant_stderr_s)
     source += f"; standard errors of the time constants {errors}"
-    weights = [_weight(traces, k, tau) for k, tau in enumerate(constants_s)]
+    weights = []
+    for k, tau_s in enumerate(constants_s):
+        ramps = [trace.ramp_s / tau_s for trace in traces]
+        averages = [float(-np.expm1(-ramp) / ramp) if ramp > 0 else 1.0 for ramp in ramps]
+        expected = np.array([trace.step * average for trace, average in zip(traces, averages, strict=True)])
+        amplitudes = np.array([trace.amplitudes[k] for trace in traces])
+        weights.append(float(expected @ amplitudes / max(float(expected @ expected), 1e-300)))
     late_s = float(np.median([trace.trace[0][0] for trace in traces]))
-    if len(weights) == 2 and late_s > _LATE * constants_s[0]:
+    if len(weights) == 2 and late_s > _MAX_START_RATIO * constants_s[0]:
         source += f"; a faster part, over before the first reading at {late_s:.2g} s, is left out"
         weights[0] = 0.0
     if len(weights) == 1:
         source_words = f"{source}; one exponential, the first has no weight"
         return Relaxation((0.0, weights[0]), (constants_s[0] / 10, constants_s[0]), source_words)
     return Relaxation((weights[0], weights[1]), (constants_s[0], constants_s[1]), source)
-
-
-def _weight(traces: Sequence[DirectedTrace], k: int, tau_s: float) -> float:
-    expected = np.array([trace.step * _average_over_ramp(trace.ramp_s / tau_s) for trace in traces])
-    amplitudes = np.array([trace.amplitudes[k] for trace in traces])
-    return float(expected @ amplitudes / max(float(expected @ expected), 1e-300))
-
-
-def _average_over_ramp(length: float) -> float:
-    return float(-np.expm1(-length) / length) if length > 0 else 1.0
 
 
 #: Number of steps in the search for a settling time.

@@ -9,8 +9,6 @@ import json
 from dataclasses import asdict, dataclass
 from typing import Any, Final, Literal
 
-import numpy as np
-
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
@@ -47,13 +45,9 @@ def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
     fields = asdict(
         document_of(event), dict_factory=lambda pairs: {key: value for key, value in pairs if value is not None}
     )
-    document: dict[str, Any] = json.loads(json.dumps(fields, default=_number, allow_nan=False))
+    # A sequence may use numbers of numpy in its steps.
+    document: dict[str, Any] = json.loads(json.dumps(fields, default=lambda number: number.item(), allow_nan=False))
     return document
-
-
-def _number(value: np.generic) -> Any:
-    """Return a number of numpy, which a sequence may use in its steps, as Python's."""
-    return value.item()
 
 
 @document_of.register

@@ -41,11 +41,8 @@ class StepDocument:
 
     @classmethod
     def from_step(cls, step: Step) -> "StepDocument":
-        return fill_from_object(cls, getattr(step, "load", step), kind=_snake_case(type(step).__name__))
-
-
-def _snake_case(name: str) -> str:
-    return re.sub(r"(?<!^)(?=[A-Z])", "_", name).lower()
+        snake_case = re.sub(r"(?<!^)(?=[A-Z])", "_", type(step).__name__).lower()
+        return fill_from_object(cls, getattr(step, "load", step), kind=snake_case)
 
 
 @dataclass(frozen=True, slots=True)

@@ -14,11 +14,11 @@ from cbsr_qa.eit.estimate.readings import MergedReadings
 from cbsr_qa.eit.loads.round_load import RoundLoadModel, RoundLoads
 
 #: Squared length of the last step in standard errors: a hundredth of one.
-_CLOSE_ENOUGH: Final = 1e-4
-_MOST_STEPS: Final = 30
+_MAX_SQUARED_MOVE: Final = 1e-4
+_MAX_STEPS: Final = 30
 _EASIER: Final = 0.1
 _HARDER: Final = 8.0
-_LARGEST_DAMPING: Final = 1e8
+_MAX_DAMPING: Final = 1e8
 _AT_ONCE: Final = 128  # loads evaluated together, so that data stay in the processor's cache
 _LEAST_CLEARANCE: Final = 0.02  # radii of the sheet: loads closer to an electrode or edge are not followed
 
@@ -71,7 +71,7 @@ class LoadFitter:
     def fit(self, data: Array, start: Array, *, square: bool) -> Fits:
         """Fit data (n, rows) from parameters (n, 4); the square is fitted too, or stays as given."""
         run = _Run(self, data, start, square)
-        for _ in range(_MOST_STEPS):
+        for _ in range(_MAX_STEPS):
             if not run.active.any():
                 break
             run.step()
@@ -120,19 +120,23 @@ class _Run:
 
     def step(self) -> None:
         active_loads = np.flatnonzero(self.active)
-        move, gain = self._moves(active_loads)
+        move, gain = self._compute_moves(active_loads)
         aim, limited_mask, placed_mask = self.fitter.limit_sizes(self.at[active_loads] + move, square=self.square)
         newly_limited = limited_mask & self.free[active_loads, 3]
         self.free[active_loads[limited_mask], 3] = False
         self.steps[active_loads] += 1
-        done_mask = (gain < _CLOSE_ENOUGH) & ~newly_limited & placed_mask
-        self._finish(active_loads[done_mask], aim[done_mask], gain[done_mask])
+        done_mask = (gain < _MAX_SQUARED_MOVE) & ~newly_limited & placed_mask
+        done_loads = active_loads[done_mask]
+        self.at[done_loads] = aim[done_mask]
+        self.misfit[done_loads] -= gain[done_mask]
+        self.active[done_loads] = False
+        self.converged[done_loads] = True
         self._refuse(active_loads[~placed_mask])
         continuing_mask = placed_mask & ~done_mask
         if continuing_mask.any():
             self._try(active_loads[continuing_mask], aim[continuing_mask])
 
-    def _moves(self, which: Indices) -> tuple[Array, Array]:
+    def _compute_moves(self, which: Indices) -> tuple[Array, Array]:
         """Damped steps (k, 4), and their squared length in standard errors."""
         # Normal equations (k, 4, 4), (k, 4) of parameters scaled (k, 4) to unit diagonal; fixed ones do not move.
         free = self.free[which]
@@ -141,12 +145,6 @@ class _Run:
         damped = normal + self.damping[which, None, None] * np.eye(4)
         move = np.linalg.solve(damped, pull[..., None])[..., 0]
         return move / scale, (move * pull).sum(axis=1)
-
-    def _finish(self, which: Indices, at: Array, gain: Array) -> None:
-        self.at[which] = at
-        self.misfit[which] -= gain
-        self.active[which] = False
-        self.converged[which] = True
 
     def _try(self, which: Indices, aim: Array) -> None:
         rows, slopes = self.fitter.rows(aim)
@@ -164,7 +162,7 @@ class _Run:
 
     def _refuse(self, which: Indices) -> None:
         self.damping[which] *= _HARDER
-        self.active[which[self.damping[which] > _LARGEST_DAMPING]] = False
+        self.active[which[self.damping[which] > _MAX_DAMPING]] = False
 
     def result(self) -> Fits:
         """Fitted parameters, with covariances of all that could be fitted."""

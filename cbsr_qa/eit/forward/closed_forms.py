@@ -12,7 +12,7 @@ import numpy as np
 from scipy.special import spherical_jn
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 
@@ -74,9 +74,12 @@ def arc_transfer_impedance(
     order = np.arange(1, harmonics + 1, dtype=np.float64)
     basis = np.stack([spherical_jn(p, order * half_width_rad) for p in range(modes)], axis=1)
     weight = sheet.gain(order) / (np.pi * sheet.conductance_S * order)
-    lags, lag_index = _lags(angles_rad)
+    # Different angles between electrodes, and which of them each (row, column) has.
+    angles_apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
+    lags, lag_index = np.unique(angles_apart, return_inverse=True)
     table = np.stack([_gram(basis, weight, order, lag) for lag in lags])  # (lags, modes, modes)
-    system = table[lag_index].transpose(0, 2, 1, 3)  # (row electrode, row mode, column electrode, column mode)
+    # (row electrode, row mode, column electrode, column mode).
+    system = table[lag_index.reshape(angles_apart.shape)].transpose(0, 2, 1, 3)
     electrodes = np.arange(count)
     for p in range(modes):
         system[electrodes, p, electrodes, p] += contact_impedance / (length * (2 * p + 1))
@@ -91,13 +94,6 @@ def project_to_ground(impedance: Array) -> Array:
     """Project a transfer impedance on ΣI = 0 and ΣU = 0."""
     projected = impedance - impedance.mean(axis=0)
     return np.asarray(projected - projected.mean(axis=1, keepdims=True), dtype=np.float64)
-
-
-def _lags(angles_rad: Array) -> tuple[Array, Indices]:
-    """Different angles between electrodes, and which of them each (row, column) has."""
-    angles_apart = np.round((angles_rad[:, None] - angles_rad) % (2 * np.pi), 12) % np.round(2 * np.pi, 12)
-    lags, lag_index = np.unique(angles_apart, return_inverse=True)
-    return lags, lag_index.reshape(angles_apart.shape)
 
 
 def _gram(basis: Array, weight: Array, order: Array, lag: float) -> Array:

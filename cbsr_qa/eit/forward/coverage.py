@@ -160,17 +160,16 @@ def outline_normals(footprint: Footprint, corners: Array, points: Array) -> Arra
     step = (_STEP * size)[:, None]
     gradient = np.empty_like(places)
     for axis, direction in enumerate(np.eye(2)):
-        ahead, behind = (_distance_outside(footprint, places + s * step[..., None] * direction) for s in (1, -1))
+        distances_mm = []  # negative inside; ahead and behind
+        for s in (1, -1):
+            moved = (places + s * step[..., None] * direction).reshape(-1, 2)
+            side = np.where(footprint.contains(moved), -1.0, 1.0)
+            distances_mm.append((side * footprint.distance_mm(moved)).reshape(places.shape[:-1]))
+        ahead, behind = distances_mm
         gradient[..., axis] = (ahead - behind) / (2 * step)
     length = np.hypot(gradient[..., 0], gradient[..., 1])
     is_known = length > 0.5  # less at a ridge, where no outline is nearest
     return np.where(is_known[..., None], gradient / np.where(is_known, length, 1)[..., None], 0.0)
-
-
-def _distance_outside(footprint: Footprint, places: Array) -> Array:
-    flat = places.reshape(-1, 2)
-    sign = np.where(footprint.contains(flat), -1.0, 1.0)
-    return (sign * footprint.distance_mm(flat)).reshape(places.shape[:-1])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -258,14 +257,10 @@ def cover_by_nested_outlines(
     normals = np.zeros((len(near_elements), len(points), 2))
     is_ever_cut = is_cut.any(axis=0)
     normals[is_ever_cut] = outline_normals(largest, mesh.corners_mm[near_elements[is_ever_cut]], points)
-    return NestedCover(near_elements, _layers(spread), np.concatenate([[0.0], np.cumsum(weights)]), normals)
-
-
-def _layers(spread: Array) -> Array:
-    """Shares of the layers (k, q, j + 1) from those within each outline (j, k, q)."""
+    # Shares of the layers between outlines, (k, q, j + 1), from those within each outline.
     nested = np.concatenate([np.ones_like(spread[:1]), spread, np.zeros_like(spread[:1])])
-    layers: Array = np.moveaxis(nested[:-1] - nested[1:], 0, -1)
-    return np.ascontiguousarray(layers)
+    layers = np.ascontiguousarray(np.moveaxis(nested[:-1] - nested[1:], 0, -1))
+    return NestedCover(near_elements, layers, np.concatenate([[0.0], np.cumsum(weights)]), normals)
 
 
 def _limit_sum(line: Array, share: Array) -> Array:

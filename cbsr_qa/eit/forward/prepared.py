@@ -19,10 +19,10 @@ from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.elements import Contacts, FiniteElements
 
-_MOST_STEPS: Final = 12
-_DONE: Final = 1e-13  # of the largest potential: the next correction would be rounding
-_SHRINKS: Final = 0.5  # a correction not smaller than this share of the last one is rounding
-_LOST: Final = 1e-2  # of the largest potential: corrections that end above it have failed
+_MAX_STEPS: Final = 12
+_CONVERGED_SHARE: Final = 1e-13  # of the largest potential: the next correction would be rounding
+_MIN_SHRINKING: Final = 0.5  # a correction not smaller than this share of the last one is rounding
+_FAILED_SHARE: Final = 1e-2  # of the largest potential: corrections that end above it have failed
 
 
 def refine(
@@ -49,15 +49,17 @@ def refine(
     """
     high, low = potentials - potentials[ground], np.zeros_like(potentials)
     change_share = np.inf
-    for _ in range(_MOST_STEPS):
-        correction = solve(load - _out_of(conductors, high, low))
+    for _ in range(_MAX_STEPS):
+        correction = solve(load - _compute_currents_out(conductors, high, low))
         correction -= correction[ground]
         high, rounding_error = _sum(high, correction)
         high, low = _sum(high, low + rounding_error)
-        previous_share, change_share = change_share, _share(correction, high)
-        if change_share <= _DONE or change_share > _SHRINKS * previous_share:
+        largest, largest_change = np.abs(high).max(axis=0), np.abs(correction).max(axis=0)
+        shares = largest_change[largest > 0] / largest[largest > 0]
+        previous_share, change_share = change_share, float(shares.max(initial=0.0))
+        if change_share <= _CONVERGED_SHARE or change_share > _MIN_SHRINKING * previous_share:
             break
-    if not change_share <= _LOST:
+    if not change_share <= _FAILED_SHARE:
         raise NumericsError(
             "the sheet's potentials cannot be refined: conductances and contact impedances span too wide a range",
             remedy="bring conductances and contact impedances closer to each other",
@@ -65,19 +67,13 @@ def refine(
     return high, low
 
 
-def _out_of(conductors: sparse.csc_matrix, high: Array, low: Array) -> Array:
+def _compute_currents_out(conductors: sparse.csc_matrix, high: Array, low: Array) -> Array:
     """Current out of each node into the others for potentials high + low, (n, k) [V] both: (n, k) [A]."""
     row, counts = conductors.indices, np.diff(conductors.indptr)
     difference, rounding_error = _sum(high[row], -np.repeat(high, counts, axis=0))
     rounding_error += low[row] - np.repeat(low, counts, axis=0)
     flow = conductors.data[:, None] * (difference + rounding_error)
     return np.asarray(np.add.reduceat(flow, conductors.indptr[:-1], axis=0), dtype=np.float64)
-
-
-def _share(correction: Array, potentials: Array) -> float:
-    largest = np.abs(potentials).max(axis=0)
-    share: float = (np.abs(correction).max(axis=0)[largest > 0] / largest[largest > 0]).max(initial=0.0)
-    return float(share)
 
 
 def _sum(a: Array, b: Array) -> tuple[Array, Array]:

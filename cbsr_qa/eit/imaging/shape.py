@@ -105,9 +105,10 @@ def _overlaps_percent(
         start, end, first_edges = _join_rims(rims)
         overlaps_mm2 = np.maximum(np.add.reduceat(indenter.area_under_edges_mm2(start, end), first_edges), 0.0)
     elif mode == "centroid":
-        overlaps_mm2 = np.array(
-            [_overlap_of_elements_mm2(_require_blob(region, "clipping by centroids"), indenter) for region in regions]
-        )
+        blobs = [_require_blob(region, "clipping by centroids") for region in regions]
+        areas_mm2 = [blob.image.mesh.areas_mm2[blob.elements] for blob in blobs]
+        inside_masks = [indenter.contains(blob.image.mesh.centroids_mm[blob.elements]) for blob in blobs]
+        overlaps_mm2 = np.array([float(areas @ mask) for areas, mask in zip(areas_mm2, inside_masks, strict=True)])
     else:
         raise NumericsError(f"unknown clipping mode {mode!r}", remedy="use 'exact' or 'centroid'")
     area = np.array([region.area_mm2 for region in regions])
@@ -137,11 +138,6 @@ def _deviations_mm2(
 def _join_rims(rims: Sequence[tuple[Array, Array]]) -> tuple[Array, Array, Indices]:
     start, end = (np.concatenate(parts) for parts in zip(*rims, strict=True))
     return start, end, np.cumsum([0, *(len(rim[0]) for rim in rims[:-1])])
-
-
-def _overlap_of_elements_mm2(blob: Blob, indenter: Footprint) -> float:
-    mesh = blob.image.mesh
-    return float(mesh.areas_mm2[blob.elements] @ indenter.contains(mesh.centroids_mm[blob.elements]))
 
 
 def _require_blob(region: Region, what: str) -> Blob:

@@ -20,8 +20,8 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.priors import Prior
 
 #: Largest condition number of the dual system, or of its root if that is decomposed: ten digits are lost.
-_MOST_CONDITION: Final = 1e10
-_LARGEST: Final = 1e50  # of λ: its square, and that of an image, remain representable
+_MAX_CONDITION: Final = 1e10
+_MAX_HYPERPARAMETER: Final = 1e50  # of λ: its square, and that of an image, remain representable
 _UNSEEN: Final = 1e-12  # of the largest possible signal in the readings
 
 
@@ -43,13 +43,6 @@ def dual_matrix(jacobian: Array, prior: Prior | Array, hyperparameter: float, va
     return dual_spectrum(jacobian, prior, variance).check_and_form_matrix(hyperparameter)
 
 
-def _too_small(hyperparameter: float) -> NumericsError:
-    return NumericsError(
-        f"hyperparameter {hyperparameter:.3g} is too small: the system is singular to rounding",
-        remedy="raise the hyperparameter, or give a noise figure",
-    )
-
-
 @dataclass(frozen=True, slots=True, eq=False)
 class DualSpectrum:
     """Spectral decomposition of the dual form, which solves it for any hyperparameter.
@@ -65,7 +58,7 @@ class DualSpectrum:
     basis: Array
     values: Array
     analysis: Array
-    most_condition: float = _MOST_CONDITION
+    most_condition: float = _MAX_CONDITION
 
     def gains(self, hyperparameter: float) -> Array:
         """Factor of each eigenvector, (k + f,): 1/(Λ + λ²), and 1 for unregularised ones."""
@@ -83,7 +76,10 @@ class DualSpectrum:
         check_hyperparameter(hyperparameter)
         least, largest = self.values[[0, -1]] + hyperparameter**2
         if largest > self.most_condition * least:
-            raise _too_small(hyperparameter)
+            raise NumericsError(
+                f"hyperparameter {hyperparameter:.3g} is too small: the system is singular to rounding",
+                remedy="raise the hyperparameter, or give a noise figure",
+            )
         return self.matrix(hyperparameter)
 
 
@@ -134,13 +130,13 @@ class _System:
     def spectrum(self) -> DualSpectrum:
         if self.half is None:
             values, vectors = linalg.eigh(self.normal())
-            values, most_condition = np.maximum(values, 0), _MOST_CONDITION
+            values, most_condition = np.maximum(values, 0), _MAX_CONDITION
         else:
             (triangle,) = linalg.qr(self.half, mode="r")
             _, roots, rows = linalg.svd(triangle[: len(self.white)])
             sizes = np.zeros(len(rows))
             sizes[: len(roots)] = roots
-            values, vectors, most_condition = sizes[::-1] ** 2, rows[::-1].T, _MOST_CONDITION**2
+            values, vectors, most_condition = sizes[::-1] ** 2, rows[::-1].T, _MAX_CONDITION**2
         return DualSpectrum(
             np.hstack([self.back @ vectors, self.free]),
             values,
@@ -168,8 +164,9 @@ class _System:
 
 def check_hyperparameter(value: float) -> None:
     """Refuse λ that is negative, not finite, or so large that the image is only rounding."""
-    if not 0 <= value <= _LARGEST:
+    if not 0 <= value <= _MAX_HYPERPARAMETER:
         raise NumericsError(
-            f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to {_LARGEST:.0e}",
+            f"hyperparameter λ is {value}; it must be a finite number, zero or above, up to"
+            f" {_MAX_HYPERPARAMETER:.0e}",
             remedy="give a λ in that range, or give a noise figure",
         )

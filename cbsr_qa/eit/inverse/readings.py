@@ -108,7 +108,7 @@ def _groups(pattern: DrivePattern, used: Mask) -> tuple[Indices, Indices, Array]
 FEWEST_FRAMES: Final = 6
 
 _REMEDY: Final = 'or set analysis.noise_weighting = "equal" in the recipe'
-_MOST_SILENT: Final = 0.5  # share of readings that never change, above which the noise is unknown
+_MAX_SILENT_SHARE: Final = 0.5  # share of readings that never change, above which the noise is unknown
 _ROUNDING: Final = 1e-13  # of the largest level: less is equal
 _CLIP: Final = 3.0  # deviations are limited to this many times the spread, so that a glitch does not count as noise
 _CLIPPED_VARIANCE: Final = 0.99501  # E min(z², 9) of a standard normal z
@@ -164,28 +164,23 @@ def reading_noise(readings: Array, time_s: Array) -> ReadingNoise:
         )
     rounding = _ROUNDING * float(np.abs(readings).max())
     silent = np.ptp(readings, axis=0) <= rounding
-    if silent.mean() > _MOST_SILENT:
+    if silent.mean() > _MAX_SILENT_SHARE:
         raise NumericsError(
             f"{int(silent.sum())} of {len(silent)} readings are the same in all {count} unloaded frames: there is no"
             " noise to weight readings by",
             remedy=f"measure with a finer resolution, {_REMEDY}",
         )
-    step = _converter_step(readings[:, ~silent], rounding)
-    raw_variance = np.maximum(_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
+    # Median over readings of the smallest difference between two values of one; almost zero without rounding.
+    differences = np.diff(np.sort(readings[:, ~silent], axis=0), axis=0)
+    step = float(np.median(np.where(differences > rounding, differences, np.inf).min(axis=0)))
+    raw_variance = np.maximum(_estimate_scatter(readings[:, ~silent], time_s, step), step**2 / 12)
     moderated, common_variance, freedom = _moderate_variances(raw_variance, count - 2)
     variance = np.full(len(silent), common_variance)
     variance[~silent] = moderated
     return ReadingNoise(variance, common_variance, freedom, silent)
 
 
-def _converter_step(readings: Array, rounding: float) -> float:
-    """Median over readings of the smallest difference between two values of one; almost zero without rounding."""
-    differences = np.diff(np.sort(readings, axis=0), axis=0)
-    smallest = np.where(differences > rounding, differences, np.inf).min(axis=0)
-    return float(np.median(smallest))
-
-
-def _scatter(readings: Array, time_s: Array, step: float) -> Array:
+def _estimate_scatter(readings: Array, time_s: Array, step: float) -> Array:
     """Winsorised variance about a straight line in time, (m,)."""
     count = len(readings)
     q, _ = np.linalg.qr(np.column_stack([np.ones(count), time_s - time_s.mean()]))

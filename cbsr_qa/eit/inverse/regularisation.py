@@ -97,7 +97,11 @@ class Regularisation:
         for criterion in Criterion:
             description = self._words(criterion, base, evidence)
             try:
-                answers.append(ParameterAnswer(criterion, self._value(criterion, search, evidence), description))
+                if criterion is Criterion.NOISE_FIGURE:
+                    value = search.for_noise_figure(self.noise_figure)
+                else:
+                    value = search.choose_from_readings(criterion, evidence)
+                answers.append(ParameterAnswer(criterion, value, description))
             except NumericsError as error:
                 answers.append(ParameterAnswer(criterion, None, error.reason))
                 refusals[criterion] = error
@@ -105,17 +109,11 @@ class Regularisation:
             raise refusals[self.criterion]
         chosen = next(answer for answer in answers if answer.criterion == self.criterion)
         assert chosen.value is not None
-        return chosen.value, chosen.words, self._curve(search, tuple(answers))
-
-    def _curve(self, search: ParameterSearch, answers: tuple[ParameterAnswer, ...]) -> ParameterCurve:
-        """Noise figures over the searched range, with every choice among the values."""
-        values = np.union1d(search.shown, [a.value for a in answers if a.value is not None])
-        return ParameterCurve(values, search.noise_figures(values), answers, self.noise_figure, search.discrete)
-
-    def _value(self, criterion: Criterion, search: ParameterSearch, evidence: Evidence) -> float:
-        if criterion is Criterion.NOISE_FIGURE:
-            return search.for_noise_figure(self.noise_figure)
-        return search.choose_from_readings(criterion, evidence)
+        # Noise figures over the searched range, with every choice among the values.
+        values = np.union1d(search.shown, [answer.value for answer in answers if answer.value is not None])
+        figures = search.noise_figures(values)
+        curve = ParameterCurve(values, figures, tuple(answers), self.noise_figure, search.discrete)
+        return chosen.value, chosen.words, curve
 
     def _words(self, criterion: Criterion, problem: ImagingProblem, evidence: Evidence) -> str:
         if criterion is Criterion.NOISE_FIGURE:

@@ -150,7 +150,13 @@ class Patches(Sized):
         contact_change : (electrodes,) change of 1/z [S/mm], where contacts change too.
         """
         stack_responses = []
-        stacks = zip(self._rim_changes(change, contact_change), self._own, self._met, self._linked, strict=True)
+        members = zip(self._patches, self._matrices, self._members, strict=True)
+        rim_changes = [
+            patches.rim_changes(matrices.assemble(change[elements])) for patches, matrices, elements in members
+        ]
+        if self._contacts is not None and contact_change is not None:
+            rim_changes.append(self._contacts.rim_changes(contact_change))
+        stacks = zip(rim_changes, self._own, self._met, self._linked, strict=True)
         for rim_change, own_coupling, basis, linked in stacks:
             capacitance = rim_change @ own_coupling
             np.einsum("gii->gi", capacitance)[:] += 1
@@ -161,12 +167,6 @@ class Patches(Sized):
         system = responses[:, :count]
         np.einsum("ii->i", system)[:] += 1
         return self._fields.T @ np.linalg.solve(system, responses[:, count:])
-
-    def _rim_changes(self, change: Array, contact_change: Array | None) -> Iterator[Array]:
-        for stack, matrices, members in zip(self._patches, self._matrices, self._members, strict=True):
-            yield stack.rim_changes(matrices.assemble(change[members]))
-        if self._contacts is not None and contact_change is not None:
-            yield self._contacts.rim_changes(contact_change)
 
     def _link(self, model: ForwardModel, inverse: InverseEntries) -> None:
         of_contacts = [stack is self._contacts for stack in self._stacks for _ in stack.rims]

@@ -247,7 +247,7 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
     pieces: list[int] = []
     for begin, end in zip(fixed, np.append(fixed[1:], fixed[0] + curve.perimeter), strict=True):
         middle = (begin + end) / 2 % curve.perimeter
-        piece = _piece_of(curve, begin, end)
+        piece = _find_piece(curve, begin, end)
         # Strip that covers a place on the edge; −1 if none.
         away = np.abs(strips - middle)
         covered = np.flatnonzero(np.minimum(away, curve.perimeter - away) < width / 2)
@@ -257,36 +257,32 @@ def edge_nodes(curve: ClosedCurve, sizes: Size, fixed: Lengths, strips: Lengths,
         if owner >= 0:
             least = max(least, int(np.ceil(fewest * (end - begin) / width - 0.2)))
         places = begin + _SAMPLES * (end - begin)
-        stretch_nodes = _spread(1 / sizes(curve.points_at(places)), places, least)[:-1]
+        stretch_nodes = _spread_nodes(1 / sizes(curve.points_at(places)), places, least)[:-1]
         points.append(curve.points_at(stretch_nodes))
         owners += [owner] * len(stretch_nodes)
         pieces += [piece] * len(stretch_nodes)
     edges = ring_edges(len(owners))
     of_strip, of_piece = np.array(owners), np.array(pieces)
-    arcs = [
-        CircleArcs(edges[of_piece == piece], _centre(curve, piece), float(1 / abs(curve.curvature[piece])))
-        for piece in np.flatnonzero(curve.curvature).tolist()
-        if (of_piece == piece).any()
-    ]
+    arcs = []
+    for piece in np.flatnonzero(curve.curvature).tolist():
+        if (of_piece == piece).any():
+            heading, radius = float(curve.heading[piece]), 1 / float(curve.curvature[piece])
+            x, y = curve.start[piece].tolist()
+            centre = (x - radius * float(np.sin(heading)), y + radius * float(np.cos(heading)))
+            arcs.append(CircleArcs(edges[of_piece == piece], centre, float(1 / abs(curve.curvature[piece]))))
     return Edge(np.vstack(points), tuple(edges[of_strip == strip] for strip in range(len(strips))), tuple(arcs))
 
 
-def _spread(density: Lengths, places: Lengths, at_least: int) -> Lengths:
+def _spread_nodes(density: Lengths, places: Lengths, at_least: int) -> Lengths:
     total = np.concatenate([[0], np.cumsum((density[1:] + density[:-1]) / 2 * np.diff(places))])
     count = max(at_least, int(np.ceil(total[-1])))
     chosen: Lengths = np.interp(np.arange(count + 1) / count * total[-1], total, places)
     return chosen
 
 
-def _piece_of(curve: ClosedCurve, begin: float, end: float) -> int:
+def _find_piece(curve: ClosedCurve, begin: float, end: float) -> int:
     """The piece that a stretch lies on; −1 if it crosses from one to the next."""
     middle = (begin + end) / 2 % curve.perimeter
     piece = int(np.searchsorted(curve.begins, middle, side="right")) - 1
     is_within = end - begin <= 2 * min(middle - curve.begins[piece], curve.begins[piece + 1] - middle) * (1 + 1e-9)
     return piece if is_within else -1
-
-
-def _centre(curve: ClosedCurve, piece: int) -> tuple[float, float]:
-    heading, radius = float(curve.heading[piece]), 1 / float(curve.curvature[piece])
-    x, y = curve.start[piece].tolist()
-    return x - radius * float(np.sin(heading)), y + radius * float(np.cos(heading))

@@ -197,7 +197,13 @@ def mesh_sensor(
     on_edge = np.zeros(len(mesh.nodes_mm), dtype=np.bool_)
     on_edge[ring] = True
     kind = ElectrodeKind.ARC if all(on_edge[edges].all() for edges in mesh.electrode_edges) else ElectrodeKind.PIN
-    middles, lengths = zip(*(_middle(mesh, edges) for edges in mesh.electrode_edges), strict=True)
+    middles, lengths = [], []
+    for edges in mesh.electrode_edges:
+        ends = mesh.nodes_mm[edges]
+        edge_lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
+        x, y = (edge_lengths @ ends.mean(axis=1) / edge_lengths.sum()).tolist()
+        middles.append((x, y))
+        lengths.append(float(edge_lengths.sum()))
     width = float(np.mean(lengths)) / (1 if kind is ElectrodeKind.ARC else np.pi)
     electrodes = PlacedElectrodes(kind, tuple(middles), width)
     return SensorType(
@@ -240,10 +246,3 @@ def _rings(mesh: Mesh) -> list[Indices]:
                 del following[ring[-2]]
         rings.append(np.array(ring[:-1], dtype=np.int64))
     return rings
-
-
-def _middle(mesh: Mesh, edges: Indices) -> tuple[tuple[float, float], float]:
-    ends = mesh.nodes_mm[edges]
-    lengths = np.hypot(*(ends[:, 1] - ends[:, 0]).T)
-    x, y = (lengths @ ends.mean(axis=1) / lengths.sum()).tolist()
-    return (x, y), float(lengths.sum())

@@ -61,7 +61,7 @@ def sheet_mesh(sensor_type: SensorType, *, size_mm: float, order: int = 1) -> Me
 @lru_cache(maxsize=4)
 def _round_mesh(layout: ElectrodeLayout, radius_mm: float, size_mm: float, order: int) -> Mesh:
     """Mesh a disc, or return the cached mesh of an equal type."""
-    ring = _pins if layout.kind is ElectrodeKind.PIN else _arcs
+    ring = _bound_by_pins if layout.kind is ElectrodeKind.PIN else _bound_by_arcs
     outline, electrode_edges, arcs = ring(layout, radius_mm, size_mm, order)
     nodes, elements = fill(outline, np.zeros((0, 2)), smoothing=SMOOTHING)
     for shared in (nodes, elements, *electrode_edges, *(arc.edges for arc in arcs)):
@@ -104,7 +104,7 @@ def image_mesh(sensor_type: SensorType, *, size_mm: float) -> Mesh:
 _Boundary = tuple[Outline, tuple[Indices, ...], tuple[CircleArcs, ...]]
 
 
-def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
+def _bound_by_pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
     centres, pin = layout.positions_mm(), layout.width_mm / 2
     tree = cKDTree(centres)
     gap = radius - layout.ring_radius_mm - pin
@@ -129,15 +129,19 @@ def _pins(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         _spread_arc(radius, layout.angles_rad()[0], abs(layout.step_rad), sizes)[:-1], layout, radius
     )
     rim = pin * _unit(2 * np.pi * np.arange(rim_count) / rim_count)
-    rims = [centre + _turn(rim, angle) for centre, angle in zip(centres, layout.angles_rad(), strict=True)]
+    rims = []
+    for centre, angle in zip(centres, layout.angles_rad(), strict=True):
+        cosine, sine = np.cos(angle), np.sin(angle)
+        turned = (cosine * rim[:, 0] - sine * rim[:, 1], sine * rim[:, 0] + cosine * rim[:, 1])
+        rims.append(centre + np.column_stack(turned))
     hole = np.concatenate([np.full(len(edge), -1), np.repeat(np.arange(layout.count), rim_count)])
     edges = tuple(len(edge) + k * rim_count + ring_edges(rim_count) for k in range(layout.count))
     arcs = [CircleArcs(e, (x, y), pin) for e, (x, y) in zip(edges, centres.tolist(), strict=True)]
     outline = Outline(np.vstack([edge, *rims]), hole.astype(np.int64), sizes, clearance)
-    return outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius), *arcs)
+    return outline, edges, (CircleArcs(_close_ring(edge), (0.0, 0.0), radius), *arcs)
 
 
-def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
+def _bound_by_arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _Boundary:
     half_angle = layout.width_mm / radius / 2
     ends = layout.angles_rad()[:, None] + np.array([-half_angle, half_angle])
     tree = cKDTree(radius * _unit(ends.ravel()))
@@ -167,10 +171,10 @@ def _arcs(layout: ElectrodeLayout, radius: float, size: float, order: int) -> _B
         sizes,
         lambda points: radius - np.hypot(points[:, 0], points[:, 1]),
     )
-    return outline, edges, (CircleArcs(_round(edge), (0.0, 0.0), radius),)
+    return outline, edges, (CircleArcs(_close_ring(edge), (0.0, 0.0), radius),)
 
 
-def _round(edge: Points) -> Indices:
+def _close_ring(edge: Points) -> Indices:
     """Edges of the sheet's edge counterclockwise, for either order of its stretches."""
     order = np.argsort(np.arctan2(edge[:, 1], edge[:, 0]), kind="stable")
     return np.column_stack([order, np.roll(order, -1)])
@@ -191,11 +195,6 @@ def _rotate_copies(angles: Array, layout: ElectrodeLayout, radius: float) -> Poi
 
 def _unit(angles: Array) -> Points:
     return np.column_stack([np.cos(angles), np.sin(angles)])
-
-
-def _turn(points: Points, angle: float) -> Points:
-    cosine, sine = np.cos(angle), np.sin(angle)
-    return np.column_stack([cosine * points[:, 0] - sine * points[:, 1], sine * points[:, 0] + cosine * points[:, 1]])
 
 
 def _hexagonal(radius: float, size: float) -> Points:

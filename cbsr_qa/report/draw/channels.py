@@ -63,7 +63,12 @@ def channel_map_figure(
     figure = canvas(height_in, WIDTH_IN)
     left, bottom = (WIDTH_IN - size_in) / 2 / WIDTH_IN, 0.45 / height_in
     axes = figure.add_axes((left, bottom, size_in / WIDTH_IN, tall_in / height_in))
-    norm = Normalize(*_middle(values[shown_mask]))
+    lowest, highest = 0.0, 1.0
+    if shown_mask.any():
+        lowest, highest = (float(value) for value in np.percentile(values[shown_mask], (2, 98)))
+        if not highest > lowest:
+            lowest, highest = lowest - 0.5, highest + 0.5
+    norm = Normalize(lowest, highest)
     _draw_map(axes, values, shown_mask, norm)
     _draw_marks(axes, marks)
     if shown_mask.any():
@@ -105,16 +110,10 @@ def pair_bar_figure(
     return figure
 
 
-def _middle(values: Array) -> tuple[float, float]:
-    if not values.size:
-        return 0.0, 1.0
-    lowest, highest = (float(v) for v in np.percentile(values, (2, 98)))
-    return (lowest, highest) if highest > lowest else (lowest - 0.5, highest + 0.5)
-
-
 def _draw_map(axes: Axes, values: Array, shown: NDArray[np.bool_], norm: Normalize) -> None:
     drives, measures = values.shape
-    _empty_cells(axes, shown)
+    for drive, measure in np.argwhere(~shown):
+        axes.add_patch(Rectangle((measure - 0.5, drive - 0.5), 1, 1, facecolor="#f2f2f2", edgecolor="white", lw=0.4))
     edges_x, edges_y = np.arange(measures + 1) - 0.5, np.arange(drives + 1) - 0.5
     picture = np.ma.MaskedArray(values, mask=~shown)
     axes.pcolormesh(edges_x, edges_y, picture, norm=norm, cmap=AMOUNT_MAP, edgecolors="white", linewidth=0.4)
@@ -128,11 +127,6 @@ def _draw_map(axes: Axes, values: Array, shown: NDArray[np.bool_], norm: Normali
     axes.set_ylabel("drive pair")
     for side in ("left", "bottom"):
         axes.spines[side].set_visible(False)
-
-
-def _empty_cells(axes: Axes, shown: NDArray[np.bool_]) -> None:
-    for drive, measure in np.argwhere(~shown):
-        axes.add_patch(Rectangle((measure - 0.5, drive - 0.5), 1, 1, facecolor="#f2f2f2", edgecolor="white", lw=0.4))
 
 
 def _draw_marks(axes: Axes, marks: Sequence[ChannelMark]) -> None:

@@ -51,7 +51,7 @@ _LOOK: Final[dict[Outcome, dict[str, Any]]] = {
 def verdict_figure(verdicts: Sequence[LocationVerdict], sensor: SensorType) -> Canvas:
     """Draw a sheet for each phase with the outcome of every place."""
     phases = list(dict.fromkeys(verdict.phase for verdict in verdicts))
-    figure, places = _laid_out(len(phases), min(len(phases), _ACROSS))
+    figure, places = _lay_out(len(phases), min(len(phases), _ACROSS))
     for phase, axes in zip(phases, places, strict=True):
         show_sheet(axes, sensor, numbered=False)
         _draw_phase(axes, phase, [verdict for verdict in verdicts if verdict.phase == phase], sensor)
@@ -122,7 +122,7 @@ def image_figure(
     """
     columns_used = min(columns, len(panels))
     each_in, below_in = (0.0, 0.6) if shared_scale else (_SCALE_IN, 0.1)
-    figure, places = _laid_out(len(panels), columns_used, each_in=each_in, below_in=below_in)
+    figure, places = _lay_out(len(panels), columns_used, each_in=each_in, below_in=below_in)
     sizes = [float(np.abs(panel.image.values).max()) for panel in panels]
     rasters: dict[int, Raster] = {}
     for panel, size, axes in zip(panels, sizes, places, strict=True):
@@ -133,9 +133,14 @@ def image_figure(
         if electrodes is not None:
             draw_electrodes(axes, electrodes, sheet)
         if not shared_scale:
-            _draw_own_scale(figure, axes, size)
+            bottom_in = axes.get_position().y0 * figure.get_size_inches()[1] - 0.3
+            norm = change_norm(100 * size)
+            add_scale(figure, axes, norm, CHANGE_MAP, label=_SCALE_LABEL, place="bottom", bottom_in=bottom_in)
     if shared_scale:
-        _draw_scale(figure, max(sizes))
+        whole_axes = figure.add_axes((0, 0, 1, 1))
+        whole_axes.set_axis_off()
+        norm = change_norm(100 * max(sizes))
+        add_scale(figure, whole_axes, norm, CHANGE_MAP, label=_SCALE_LABEL, place="bottom")
     return figure
 
 
@@ -148,7 +153,7 @@ def draw_image(axes: Axes, panel: ImagePanel, sensor: SensorType) -> None:
     axes.get_figure(root=True).colorbar(scale, ax=axes, label=_SCALE_LABEL, shrink=0.8)  # type: ignore[union-attr]
 
 
-def _laid_out(count: int, across: int, *, each_in: float = 0.0, below_in: float = 0.0) -> tuple[Canvas, list[Axes]]:
+def _lay_out(count: int, across: int, *, each_in: float = 0.0, below_in: float = 0.0) -> tuple[Canvas, list[Axes]]:
     """Square axes in rows, with room for a title above and a note (and more) below each, and below them all."""
     side_in = min((WIDTH_IN - 0.6) / across, 2.9)
     row_in = side_in + 0.42 + each_in
@@ -161,18 +166,6 @@ def _laid_out(count: int, across: int, *, each_in: float = 0.0, below_in: float 
         corner = ((column + 0.5) / across - side_in / WIDTH_IN / 2, bottom_in / height_in)
         places.append(figure.add_axes((*corner, side_in / WIDTH_IN, side_in / height_in)))
     return figure, places
-
-
-def _draw_scale(figure: Canvas, largest: float) -> None:
-    whole_axes = figure.add_axes((0, 0, 1, 1))
-    whole_axes.set_axis_off()
-    add_scale(figure, whole_axes, change_norm(100 * largest), CHANGE_MAP, label=_SCALE_LABEL, place="bottom")
-
-
-def _draw_own_scale(figure: Canvas, axes: Axes, largest: float) -> None:
-    bottom_in = axes.get_position().y0 * figure.get_size_inches()[1] - 0.3
-    norm = change_norm(100 * largest)
-    add_scale(figure, axes, norm, CHANGE_MAP, label=_SCALE_LABEL, place="bottom", bottom_in=bottom_in)
 
 
 def _draw_panel(axes: Axes, panel: ImagePanel, raster: Raster, sheet: SheetOutline, largest: float) -> None:

@@ -125,6 +125,8 @@ def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals:
     figure, grid = _panels(1.75 * len(signals) + 0.45, len(signals), 2, hspace=0.34)
     labelled: list[Axes] = []
     for row, signal in enumerate(signals):
+        units = (r.trace.unit for load in loads for r in load.relaxations if r.signal == signal)
+        unit = unit_shown(next(units, ""))
         for column, (loading, direction) in enumerate(_DIRECTIONS):
             axes = plot(figure, grid[row, column], f"{signal} {direction}")
             _draw_quiet(axes, [load.one(signal, loading) for load in loads if load is not shown])
@@ -133,7 +135,7 @@ def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals:
             if row == len(signals) - 1:
                 axes.set_xlabel(_TIME_LABEL)
             if column == 0:
-                axes.set_ylabel(_axis_label(signal, loads))
+                axes.set_ylabel(f"{signal} [{unit}]" if unit else f"{signal} change")
                 labelled.append(axes)
     fit_left(figure, grid, labelled)
     return figure
@@ -233,9 +235,3 @@ def _name_columns(axes: Axes, loads: Sequence[SettledLoad], *, last: bool) -> No
     for start in starts if last else ():
         under = {"xycoords": ("data", "axes fraction"), "va": "top", "fontsize": 6.5}
         annotate(axes, loads[start].group, (start - 0.4, 0), (0, -15), QUIET, **under)
-
-
-def _axis_label(signal: str, loads: Sequence[SettledLoad]) -> str:
-    unit = next((r.trace.unit for load in loads for r in load.relaxations if r.signal == signal), "")
-    shown_unit = unit_shown(unit)
-    return f"{signal} [{shown_unit}]" if shown_unit else f"{signal} change"

@@ -182,15 +182,22 @@ class EmulatedApplicator:
         if speed is not None and speed > 0:
             self._speed_mm_s = speed / 60
         origin = self._target_mm()
-        goal_mm = [self._goal_of(axis, parameters) for axis in range(3)]
-        x, y, z = (min(max(target_mm, 0.0), reach_mm) for target_mm, reach_mm in zip(goal_mm, REACH_MM, strict=True))
+        goals_mm = []
+        for axis, now_mm in zip(_AXES, origin, strict=True):
+            goal_mm = parameters.get(axis)
+            if goal_mm is None:
+                goals_mm.append(now_mm)
+            else:
+                goals_mm.append(goal_mm if self._absolute else now_mm + goal_mm)
+        x, y, z = (min(max(goal_mm, 0.0), reach_mm) for goal_mm, reach_mm in zip(goals_mm, REACH_MM, strict=True))
         distances_mm = [abs(b - a) for a, b in zip(origin, (x, y, z), strict=True)]
         length = sum(way**2 for way in distances_mm) ** 0.5
         slowest_s = max(
             [length / self._speed_mm_s, *(w / v for w, v in zip(distances_mm, _FASTEST_MM_S, strict=True))]
         )
         if length > 0:
-            self._head.go(self._true((x, y, z)), length / slowest_s)
+            true_x, true_y, true_z = (goal + offset for goal, offset in zip((x, y, z), self._offset, strict=True))
+            self._head.go((true_x, true_y, true_z), length / slowest_s)
         return ""
 
     _g0 = _g1
@@ -251,16 +258,6 @@ class EmulatedApplicator:
     def _target_mm(self) -> Position:
         x, y, z = (true - offset for true, offset in zip(self._head.target_mm, self._offset, strict=True))
         return x, y, z
-
-    def _true(self, position: Position) -> Position:
-        x, y, z = (believed + offset for believed, offset in zip(position, self._offset, strict=True))
-        return x, y, z
-
-    def _goal_of(self, axis: int, parameters: Parameters) -> float:
-        now_mm, goal = self._target_mm()[axis], parameters.get(_AXES[axis])
-        if goal is None:
-            return now_mm
-        return goal if self._absolute else now_mm + goal
 
     def _wait_until(self, time_s: float) -> None:
         """Wait, with a busy message every two seconds, sent at once: on a paced clock the driver waits as long."""

@@ -70,18 +70,18 @@ class LineSender(ABC):
             if due_s < self.started_s:
                 continue  # it boots
             line = f"{self._line(self._sent, due_s)}\r\n".encode("ascii")
-            while (fault := self._fault()) is not None:
-                line = self._spoilt(fault, line, due_s)
+            while (fault := self._take_fault()) is not None:
+                line = self._spoil_line(fault, line, due_s)
             due += self._delay_line(line, due_s)
         if due and not self._silent:
             self._hand_over(due)
 
-    def _fault(self) -> Fault | None:
+    def _take_fault(self) -> Fault | None:
         if self._told:
             return self._told.pop(0)
         return None if self._port is None else self._port.faults.take()
 
-    def _spoilt(self, fault: Fault, line: bytes, due_s: float) -> bytes:
+    def _spoil_line(self, fault: Fault, line: bytes, due_s: float) -> bytes:
         match fault:
             case Fault.DROP:
                 self._silent = True

@@ -223,7 +223,12 @@ class EmulatedSourceMeter:
     def _measure(self, channel: str, quantity: str, buffer: _Buffer | None = None) -> float:
         """Take one reading, with its duration; put it into a buffer."""
         self._rig.clock.sleep(self._attributes[f"{channel}.measure.nplc"] / _LINE_HZ)
-        value = self._volts(channel) if quantity == "v" else self._amperes(channel)
+        if quantity == "v":
+            value = self._volts(channel)
+        elif channel == self._drives:
+            value = self._rig.electrical().current_A * (_STUCK_SHARE if self._stuck else 1.0)
+        else:
+            value = 0.0
         limit = self._attributes[f"{channel}.measure.range{quantity}"] * _OVERRANGE
         ranges_itself = self._attributes[f"{channel}.measure.autorange{quantity}"] == 1
         value = value if ranges_itself or abs(value) <= limit else NO_NUMBER
@@ -245,11 +250,6 @@ class EmulatedSourceMeter:
             if self._is_limited(channel)
             else electrical.volts
         )
-
-    def _amperes(self, channel: str) -> float:
-        if channel != self._drives:
-            return 0.0
-        return self._rig.electrical().current_A * (_STUCK_SHARE if self._stuck else 1.0)
 
     def _is_limited(self, channel: str) -> bool:
         electrical = self._rig.electrical()

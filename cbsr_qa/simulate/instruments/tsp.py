@@ -69,7 +69,9 @@ class Interpreter:
 
     def _statement(self) -> Statement:
         if self._take_token("function"):
-            return self._definition()
+            function = self._expect("name")
+            parameters, body = self._parse_list(lambda: self._expect("name")), self._block("end")
+            return lambda _: self._functions.update({function: (parameters, body)})
         if self._take_token("for"):
             return self._loop()
         name = self._expect("name")
@@ -78,10 +80,6 @@ class Interpreter:
         self._expect("=")
         value = self._expression()
         return lambda local: self._machine.assign(name, _first(value(local)))
-
-    def _definition(self) -> Statement:
-        name, parameters, body = self._expect("name"), self._parse_list(self._parameter), self._block("end")
-        return lambda _: self._functions.update({name: (parameters, body)})
 
     def _loop(self) -> Statement:
         variable, _, start = self._expect("name"), self._expect("="), self._expression()
@@ -103,11 +101,14 @@ class Interpreter:
             text = self._expect("text")
             return lambda _: (text,)
         name = self._expect("name")
-        return self._call(name) if self._tokens[0] == ("sign", "(") else lambda local: (self._value(name, local),)
+        if self._tokens[0] == ("sign", "("):
+            return self._call(name)
 
-    def _value(self, name: str, local: Locals) -> Any:
-        values = {**local, **_CONSTANTS}
-        return values[name] if name in values else self._machine.value(name)
+        def look_up(local: Locals) -> tuple[Any, ...]:
+            values = {**local, **_CONSTANTS}
+            return (values[name] if name in values else self._machine.value(name),)
+
+        return look_up
 
     def _call(self, name: str) -> Expression:
         """Parse the call of a user-defined function, or else of a built-in one."""
@@ -126,9 +127,6 @@ class Interpreter:
         return run
 
     # --- tokens ---
-
-    def _parameter(self) -> str:
-        return self._expect("name")
 
     def _parse_list(self, parse: Callable[[], T]) -> list[T]:
         """Parse what stands in parentheses, with commas between."""

@@ -134,7 +134,7 @@ def _cross(matrix: SparseArray, response: Array) -> Array:
 _GRID = np.concatenate([[0.0], np.logspace(-7, 12, 77)])
 _FARTHEST = 1e14
 _CONFIDENCE = 0.95
-_MOST_ELEMENTS = 2_000_000
+_MAX_ELEMENTS = 2_000_000
 
 
 @dataclass(frozen=True, slots=True)
@@ -160,21 +160,19 @@ class Likelihood:
 
     def criterion(self, ratio: Array) -> Array:
         """Return ℓ of θ, (k,) → (k,)."""
-        logs = np.concatenate([self._logs(some) for some in np.array_split(ratio, self._blocks(len(ratio)))])
+        count = len(ratio)
+        # θ are tried in blocks: hundreds of groups at once would exhaust the memory.
+        block_count = max(1, min(count, count * self.sums.within.size // _MAX_ELEMENTS))
+        log_blocks = []
+        for block in np.array_split(ratio, block_count):
+            factor = np.linalg.cholesky(self.sums.within + self.sums.products(block))
+            log_blocks.append(np.log(np.diagonal(factor, axis1=-2, axis2=-1)))
+        logs = np.concatenate(log_blocks)  # of the Cholesky factor's diagonal: of A, and √R last
         spread = np.log1p(np.multiply.outer(ratio, self.sums.sizes)) @ self.sums.sensors
         determinant = 2 * logs[:, :-1].sum(axis=1)
         f = self.freedom
         value: Array = spread + determinant + f * (1 + log(2 * pi / f) + 2 * logs[:, -1])
         return value
-
-    def _logs(self, ratio: Array) -> Array:
-        """Logarithms of the Cholesky factor's diagonal: of A, and √R last."""
-        factor = np.linalg.cholesky(self.sums.within + self.sums.products(ratio))
-        return np.log(np.diagonal(factor, axis1=-2, axis2=-1))
-
-    def _blocks(self, count: int) -> int:
-        """Number of blocks in which θ are tried: hundreds of groups at once would exhaust the memory."""
-        return max(1, min(count, count * self.sums.within.size // _MOST_ELEMENTS))
 
     def slope(self, ratio: float) -> float:
         """Return dℓ/dθ = Σ n h − tr(A⁻¹ XᵀH⁻¹ZZᵀH⁻¹X) − f rᵀH⁻¹ZZᵀH⁻¹r / R."""

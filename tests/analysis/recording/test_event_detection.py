@@ -6,7 +6,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.analysis.defects.noise import channel_noise
-from cbsr_qa.analysis.recording.changes import find_changes, nearest_step, threshold_for
+from cbsr_qa.analysis.recording.changes import find_steps, nearest_step, threshold_for
 from cbsr_qa.analysis.recording.events import find_presses
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording.places import find_places, matcher
@@ -62,7 +62,7 @@ def recording(seed, n, presses=(), *, drift=0.0, wander=0.0):
 def search(y):
     match = matcher(SHEET.patterns, SHEET.places, channel_noise(y, counts=False), np.ones(READINGS))
     white = match.whiten(y)
-    changes = find_changes(white @ match.patterns)
+    changes = find_steps(white @ match.patterns)
     return find_presses(white, match, changes).presses if changes else []
 
 
@@ -132,7 +132,7 @@ def test_what_is_needed_is_more_than_the_largest_step_where_none_counts():
     beyond_the_narrowest = False
     for height in np.linspace(0, 6, 121):
         scores = noise + height * after
-        if not find_changes(scores):
+        if not find_steps(scores):
             step, needed = nearest_step(scores)
             assert step < needed
             beyond_the_narrowest |= step > threshold_for(60, 2)

@@ -5,7 +5,7 @@ import pytest
 from pressed_files import DISC
 
 from cbsr_qa.analysis.recording.imaging import sheet_for, unit_model
-from cbsr_qa.analysis.recording.places import _surroundings, find_places, matcher
+from cbsr_qa.analysis.recording.places import _span_surroundings, find_places, matcher
 from cbsr_qa.eit.forward.coverage import disc_coverage
 from cbsr_qa.eit.inverse.problem import nominal_model
 from cbsr_qa.eit.loads.local import LocalUpdate
@@ -77,7 +77,7 @@ def test_what_is_taken_out_with_a_load_lies_about_its_place():
     sheet = sheet_for(DISC, USED)
     match = matcher(sheet.patterns, sheet.places, np.ones(len(sheet.patterns)), np.ones(len(sheet.patterns)))
     index = int(np.argmin(np.hypot(*(match.places - (0.6, 0.2)).T)))
-    basis = _surroundings(match, index)
+    basis = _span_surroundings(match, index)
     left = np.linalg.norm(match.patterns - basis @ (basis.T @ match.patterns), axis=0)
     away = np.hypot(*(match.places - match.places[index]).T)
     assert left[away < 0.1].max() < 0.1

@@ -7,7 +7,7 @@ import pytest
 from simulated_runs import simulated_run
 
 from cbsr_qa.analysis.run.force import force_tests, hold_traces, learn_without_tests, run_force
-from cbsr_qa.analysis.run.force_kernels import LARGEST_FACTOR, _within
+from cbsr_qa.analysis.run.force_kernels import LARGEST_FACTOR, _limit_rise
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.force.validity import force_reductions
 from cbsr_qa.config.loader import load_recipe
@@ -168,4 +168,4 @@ def test_traces_of_predicted_loads_are_found_whoever_asks(runs):
     ],
 )
 def test_noise_over_noise_raises_no_reading_out_of_bounds(predicted, seen, factor):
-    assert _within(predicted, seen) == pytest.approx(factor)
+    assert _limit_rise(predicted, seen) == pytest.approx(factor)

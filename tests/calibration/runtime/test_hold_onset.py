@@ -5,7 +5,7 @@ import pytest
 
 from cbsr_qa.calibration.fits.relaxation import exponentials
 from cbsr_qa.calibration.fits.steady_state import HoldsSoFar
-from cbsr_qa.calibration.runtime.track import UnsureHold
+from cbsr_qa.calibration.runtime.hold_onset import UnsureHold
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
 
 WEIGHTS, TAU_S = np.array([-0.19, -0.54]), np.array([2.6, 22.4])

@@ -20,12 +20,12 @@ from cbsr_qa.eit.inverse.noise_figures import central_signal, noise_figure
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
 _NEAR: Final = 2.0  # radii of the head: errors of the image have weight up to here, most on top of the target
-_FAR: Final = 0.1  # weight of errors further out, relative to one on top
+_FAR_WEIGHT: Final = 0.1  # weight of errors further out, relative to one on top
 _LOUD: Final = 0.6  # of a peak: rows that respond more to a target further away give it more weight,
 _RAISED: Final = 4.0  # by this factor of the squared error,
 _RAISES: Final = 4  # at most so many times
 _USUAL: Final = 0.1  # λ at which that is decided
-_MOST_CONDITION: Final = 1e12  # of a row's normal equations; they have four digits then
+_MAX_CONDITION: Final = 1e12  # of a row's normal equations; they have four digits then
 _AT_ONCE: Final = 256  # rows solved together
 
 #: Widths (second moments) of desired images that are solved for, relative to the nominal one; others are
@@ -61,8 +61,8 @@ class GreitRows:
         check_hyperparameter(hyperparameter)
         ridge = hyperparameter**2 * self._unit
         largest = float(np.einsum("ngg->n", self._fit.normal).max())  # at least the largest eigenvalue
-        least, rows = float(np.sqrt(largest / _MOST_CONDITION / self._unit)), None
-        if ridge * _MOST_CONDITION > largest:
+        least, rows = float(np.sqrt(largest / _MAX_CONDITION / self._unit)), None
+        if ridge * _MAX_CONDITION > largest:
             rows = self._solve_rows(hyperparameter, np.arange(len(self._fit.right)))
         if rows is None or not np.isfinite(rows).all():
             raise NumericsError(
@@ -137,15 +137,17 @@ class _Fit:
         count = len(signals)
         self.normal = np.empty((len(nodes), count, count))
         self.right = np.empty((len(nodes), count, len(WIDTHS)))
-        self._far_normal = _FAR**2 * (signals @ signals.T)
+        self._far_normal = _FAR_WEIGHT**2 * (signals @ signals.T)
         self._far_right = np.empty((len(nodes), count))
         self._share = np.empty(len(nodes))  # weight of the far errors
         close = neighbours(targets.centres_mm, nodes, near_mm)
         for row, (node, near_targets) in enumerate(zip(nodes, close, strict=True)):
-            weight = _weight(np.hypot(*(targets.centres_mm[near_targets] - node).T) / near_mm)
+            distance = np.hypot(*(targets.centres_mm[near_targets] - node).T) / near_mm
+            # Weight of an image error: 1 at the target, 0 from the distance 1 on, smooth.
+            weight = (1 - np.minimum(distance, 1) ** 4) ** 2
             weighted_signals = signals[:, near_targets] * weight
-            self._share[row] = 1 / (weight.sum() + _FAR**2 * signals.shape[1])
-            self._far_right[row] = _FAR**2 * targets.target_images(node[None])[0] @ signals.T
+            self._share[row] = 1 / (weight.sum() + _FAR_WEIGHT**2 * signals.shape[1])
+            self._far_right[row] = _FAR_WEIGHT**2 * targets.target_images(node[None])[0] @ signals.T
             near_right = weighted_signals @ targets.target_images(node[None], WIDTHS, near_targets)[0]
             self.normal[row] = (weighted_signals @ signals[:, near_targets].T + self._far_normal) * self._share[row]
             self.right[row] = (near_right + self._far_right[row][:, None]) * self._share[row]
@@ -157,8 +159,3 @@ class _Fit:
         self.normal[nodes] += added_weight[:, None, None] * self._far_normal
         self.right[nodes] += (added_weight[:, None] * self._far_right[nodes])[..., None]
         self._raised[nodes] *= _RAISED
-
-
-def _weight(distance: Array) -> Array:
-    """Weight of an image error by distance from the target: 1 on top, 0 from 1 on, smooth."""
-    return np.asarray((1 - np.minimum(distance, 1) ** 4) ** 2, dtype=np.float64)

@@ -100,7 +100,10 @@ class AbsoluteImages:
         # A contact changes as little as conductance does; otherwise it would explain too much.
         load_prior = SheetPrior.from_mesh(problem.mesh, spread=spread, length_mm=length_mm, level=0.0, contact=spread)
         linearised = Linearised(reference.solved, load_prior, variance)
-        figure = _noise_figure(problem, model, linearised)
+        # The first step is a matrix: its noise figure is that of the method.
+        matrix = model.fold.unfold(linearised.matrix()[: len(problem.mesh.elements)])
+        areas_mm2, signal = problem.mesh.areas_mm2, central_signal(problem)
+        figure = noise_figure(matrix, signal, areas_mm2, noise_variance=problem.noise_variance)
         description = f"{description}; {_describe_reference(problem, reference)}"
         criterion = "noise-figure" if expected.load_spread is None else "given"
         choice = ParameterChoice(spread, description, figure, "spread of ln γ under loads", criterion=criterion)
@@ -191,13 +194,6 @@ def _check_explained(state: FoundState, what: str) -> None:
             f" {_UNEXPLAINED:.0%} is allowed",
             remedy="check geometry, electrode numbering and pattern of the sensor type, and mask bad channels",
         )
-
-
-def _noise_figure(problem: ImagingProblem, model: SheetModel, before: Linearised) -> float:
-    """Noise figure of the first step, which is a matrix."""
-    matrix = model.fold.unfold(before.matrix()[: len(problem.mesh.elements)])
-    areas, variance = problem.mesh.areas_mm2, problem.noise_variance
-    return noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)
 
 
 def _describe_reference(problem: ImagingProblem, reference: FoundState) -> str:
