@@ -50,14 +50,6 @@ class Fitted:
         estimate = self.fit.station_difference if self.of_stations else self.fit.group_difference
         return estimate(group, reference)
 
-    def station_effect(self, station: str) -> float:
-        """Return the difference of a station from the first of its connected part."""
-        assert self.fit is not None
-        design = self.fit.design
-        if station not in design.stations:
-            return 0.0
-        return float(self.fit.effects[len(design.groups) + design.index("station", station)])
-
 
 def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
     """Fit the model to the runs (N,) that have a value; NaN where missing."""
