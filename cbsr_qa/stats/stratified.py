@@ -6,8 +6,8 @@ of stratum s in which the first group's value, less Δ, exceeds the second's (ti
     T(Δ) = Σ (U_s − n_s m_s/2) / (N_s + 1),   var T = Σ n_s m_s / (12 (N_s + 1))
 
 (van Elteren 1960; Lehmann, Nonparametrics, section 3.3). The shift is the Δ at which T, which falls with Δ, passes
-zero (Hodges & Lehmann 1963); its interval holds the Δ with |T| below the normal quantile. Ties lower the variance, which is
-not allowed for: the interval is then too wide.
+zero (Hodges & Lehmann 1963); its interval holds the Δ with |T| below the normal quantile. Ties lower the variance;
+that is not allowed for, so that the interval is then too wide.
 """
 
 from collections.abc import Callable, Sequence

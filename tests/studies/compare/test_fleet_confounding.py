@@ -196,10 +196,10 @@ def test_runs_of_one_sensor_are_kept_in_their_order():
 
 def test_a_design_names_its_levels_only_where_batches_could_be_taken_for_groups():
     runs, _ = fleet(11, crossed(1))
-    assert design_of(runs, group_runs(runs, DAYS), DAYS).sides[0] == "A (batch 41)"
-    assert design_of(runs, group_runs(runs, Terms(By.BATCH)), Terms(By.BATCH)).sides[0] == "A"
+    assert design_of(runs, group_runs(runs, DAYS), DAYS).crossing.stations[0] == "A (batch 41)"
+    assert design_of(runs, group_runs(runs, Terms(By.BATCH)), Terms(By.BATCH)).crossing.stations[0] == "A"
     nameless = [replace(run, batch="") if run.batch == "41" else run for run in runs]
-    assert design_of(nameless, group_runs(nameless, DAYS), DAYS).sides[0] == "A (batch not stated)"
+    assert "A (batch not stated)" in design_of(nameless, group_runs(nameless, DAYS), DAYS).crossing.stations
 
 
 def test_what_was_taken_out_of_a_difference_of_periods_is_said():
