@@ -67,7 +67,12 @@ def figures_of(table: FleetTable, *, by_location: bool = False) -> dict[MetricKe
         ends = [None if isnan(end) else end for end in (low, high)]
         figure = RunFigure(run, key, unit, value, count, int(absent), int(bounds), ends[0], ends[1])
         figures_by_run = by_key.setdefault(key, {})
-        figures_by_run[run] = _merge_units(figures_by_run[run], figure) if run in figures_by_run else figure
+        if run in figures_by_run:  # in another unit
+            other = figures_by_run[run]
+            larger = max(other, figure, key=lambda one: one.places)
+            units = tuple(sorted({*(other.units or (other.unit,)), unit}))
+            figure = replace(larger, value=None, places=other.places + count, units=units)
+        figures_by_run[run] = figure
     return by_key
 
 
@@ -96,20 +101,12 @@ def series_of(runs: Sequence[RunLine], figures: Figures, names: Sequence[str] = 
         if name not in measured_names:
             raise missing_metric_error(name, measured_names)
     limited_keys = [
-        key for key, figures_by_run in by_key.items() if any(_has_limit(figure) for figure in figures_by_run.values())
+        key
+        for key, figures_by_run in by_key.items()
+        if any(figure.lower is not None or figure.upper is not None for figure in figures_by_run.values())
     ]
     chosen_keys = [key for key in by_key if key.name in names] if names else limited_keys or list(by_key)
     return [_series(key, runs, by_key[key]) for key in chosen_keys]
-
-
-def _has_limit(figure: RunFigure) -> bool:
-    return figure.lower is not None or figure.upper is not None
-
-
-def _merge_units(first: RunFigure, second: RunFigure) -> RunFigure:
-    units = tuple(sorted({*(first.units or (first.unit,)), second.unit}))
-    larger = max(first, second, key=lambda figure: figure.places)
-    return replace(larger, value=None, places=first.places + second.places, units=units)
 
 
 def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFigure]) -> Series:

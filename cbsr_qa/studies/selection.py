@@ -23,7 +23,7 @@ _CLOCK_STEP: Final = timedelta(days=1)
 #: Tables of a recipe that affect judgement or display, but no number.
 _NOT_MEASURING: Final = ("limits", "limits_version", "report")
 #: Number of known names in a remedy.
-_MOST_NAMED: Final = 20
+_MAX_LISTED_NAMES: Final = 20
 #: Selection criteria of runs: noun, field of the selection, attribute of a run.
 _NAMES: Final = (
     ("recipe", "recipe", "recipe"),
@@ -37,7 +37,7 @@ _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
 def nearest(name: str, known: Collection[str], there_are: str) -> str:
     """Remedy for an unknown name: the nearest one, and the known ones."""
-    all_names = f"{there_are}: {list_names(sorted(known), _MOST_NAMED)}" if known else _OTHER_DATABASE
+    all_names = f"{there_are}: {list_names(sorted(known), _MAX_LISTED_NAMES)}" if known else _OTHER_DATABASE
     return f"{did_you_mean(name, known)} {all_names}".lstrip()
 
 
@@ -95,8 +95,10 @@ def clock_notes(runs: Sequence[RunLine]) -> tuple[str, ...]:
         for earlier, later in pairwise(station_runs):
             gap = earlier.started_at - later.started_at
             if gap > _CLOCK_STEP:
+                days = gap / timedelta(days=1)
+                span = f"{days / 365.25:.1f} years" if days > 300 else f"{days:.0f} days"
                 notes.append(
-                    f"the clock of {prefix_kind('station', station)} was wrong by about {_span(gap)} at one of two "
+                    f"the clock of {prefix_kind('station', station)} was wrong by about {span} at one of two "
                     f"runs: {later.words} came after {earlier.words}; "
                     "runs are in the order they were made in, not in that of the clock"
                 )
@@ -137,27 +139,21 @@ def measuring_digest(configuration: str, adopted: str = "") -> str:
     """
     content = json.loads(configuration)
     recipe = json.loads(adopted) if adopted else _table(content, "recipe")
+    sensor_type = {
+        key: {name: value for name, value in table.items() if name != "serial_pattern"}
+        if isinstance(table, dict)
+        else table
+        for key, table in _table(content, "sensor_type").items()
+    }
     measuring = {
         "recipe": {key: value for key, value in recipe.items() if key not in _NOT_MEASURING},
-        "sensor_type": {key: _measuring(table) for key, table in _table(content, "sensor_type").items()},
+        "sensor_type": sensor_type,
         "material": _table(content, "material"),
         "indenter": _table(_table(content, "station"), "indenter"),
     }
     return hashlib.sha256(canonical_json(measuring).encode()).hexdigest()
 
 
-def _measuring(table: Any) -> Any:
-    """Leave out what serial numbers look like."""
-    return (
-        {key: value for key, value in table.items() if key != "serial_pattern"} if isinstance(table, dict) else table
-    )
-
-
 def _table(content: Mapping[str, Any], key: str) -> Mapping[str, Any]:
     table = content.get(key, {})
     return table if isinstance(table, Mapping) else {}
-
-
-def _span(span: timedelta) -> str:
-    days = span / timedelta(days=1)
-    return f"{days / 365.25:.1f} years" if days > 300 else f"{days:.0f} days"

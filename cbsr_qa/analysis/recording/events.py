@@ -13,6 +13,7 @@ single contact is a contact fault (:mod:`cbsr_qa.analysis.defects`), and others 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import NamedTuple
 
 import numpy as np
 
@@ -176,6 +177,16 @@ def _add_short(short: Press, presses: Found) -> None:
     presses.presses.append(short)
 
 
+class _Course(NamedTuple):
+    """Reference and hold of a press, its fractional first and last frames, and the trace (n,) of its pattern."""
+
+    before: slice
+    held: slice
+    start: float
+    end: float
+    along: Array
+
+
 @dataclass(slots=True)
 class _Search:
     white: Array
@@ -186,14 +197,12 @@ class _Search:
 
     def close(self, group: Group) -> None:
         """Evaluate one press from its steps."""
-        frames_before, frames_held, start, end, along = (
-            self._trace_slow_press(group) if group.slow else self._trace_step(group)
-        )
-        if places := self._find_loads(group.frame, frames_before, frames_held):
+        before, held, start, end, along = self._trace_slow_press(group) if group.slow else self._trace_step(group)
+        if places := self._find_loads(group.frame, before, held):
             first_frame = min(int(np.ceil(start)), int(end))
             peak = first_frame + int(np.argmax(along[first_frame : max(int(np.ceil(end)), first_frame + 1)]))
             score = max(step.score for step in group.steps)
-            self.found.presses.append(Press(start, peak, end, frames_before, frames_held, places, score, group.slow))
+            self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
 
     def close_short(self, pulse: Change) -> None:
         """Evaluate a press of a few frames."""
@@ -220,8 +229,8 @@ class _Search:
             return places
         return ()
 
-    def _trace_step(self, group: Group) -> tuple[slice, slice, float, float, Array]:
-        """Reference, hold, start, end and trace of a press that started with a step."""
+    def _trace_step(self, group: Group) -> _Course:
+        """Follow a press that started with a step."""
         first_step = group.steps[0]
         limits = self._find_limits(group)
         frames_before, frames_held = rough(first_step, group.limit(self.groups, len(self.white)), len(self.white))
@@ -234,10 +243,10 @@ class _Search:
             start, first_held = rise(along, first_step, int(end)) if is_clear else step_start(first_step, int(end))
             frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
             frames_held = slice(first_held, max(min(int(end) + (end == limits[-1] - 1), limits[0]), first_held + 1))
-        return frames_before, frames_held, start, end, along
+        return _Course(frames_before, frames_held, start, end, along)
 
-    def _trace_slow_press(self, group: Group) -> tuple[slice, slice, float, float, Array]:
-        """Evaluate a press of which only the release is a step."""
+    def _trace_slow_press(self, group: Group) -> _Course:
+        """Follow a press of which only the release is a step."""
         release = group.steps[0]
         until = max(release.frame - release.window // 2, 2)
         frames_held = slice(max(until - BEFORE_FRAMES, 1), until)
@@ -246,7 +255,8 @@ class _Search:
         start = slow_rise(along, frames_held.start)
         frames_before = slice(max(int(start) - BEFORE_FRAMES, 0), max(int(start), 1))
         along = smooth(trace(self.white, frames_before, frames_held), release.window)
-        return frames_before, frames_held, start, end_of(along, frames_held.start, self._find_limits(group)[0]), along
+        end = end_of(along, frames_held.start, self._find_limits(group)[0])
+        return _Course(frames_before, frames_held, start, end, along)
 
     def _find_limits(self, group: Group) -> list[int]:
         """Frames at which other events begin, up to the next press at the same place, or the end."""

@@ -1,12 +1,12 @@
 """Report of a station's control charts: the state of each, then those with signals, drawn and in words."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from typing import Final
 
 from cbsr_qa.domain.numbers import prefix_kind
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.charts import ChartKind, ChartReference
-from cbsr_qa.domain.results.report import Banner, Block, Cell, CommandOutcome, Figure, Page, Paragraph, Section, Table
+from cbsr_qa.domain.results.report import Banner, Block, Cell, CommandOutcome, Figure, Page, Paragraph, Section
 from cbsr_qa.report.tables import capital, number, plural, text_table, unit_column, unit_shown
 from cbsr_qa.studies.charts.charting import MOST_DRAWN, STANDS, MetricChart
 from cbsr_qa.studies.charts.charts import Charts
@@ -44,21 +44,19 @@ _NO_CHART: Final = "No chart: {why}."
 
 def charts_outcome(charts: Charts) -> CommandOutcome[Charts]:
     """Lay charts out; the exit code is 1 if a signal is active."""
-    sections = [Section("How to read this page", tuple(_reading(charts)), page_only=True)]
-    sections += [Section("Charts", (_table(charts),))] if charts.charts else []
-    shared = _common_notes(charts.charts)
+    sections = [Section("How to read this page", tuple(_explain_page(charts)), page_only=True)]
+    if charts.charts:
+        rows = [_row(chart) for chart in charts.charts]
+        sections.append(Section("Charts", (text_table(_CAPTION, _COLUMNS, rows, (2, 3, 4, 5, 7)),)))
+    shared: tuple[str, ...] = ()
+    if len(charts.charts) > 1:  # the page shows once what is noted of every chart
+        notes = charts.charts[0].notes
+        shared = tuple(note for note in notes if all(note in chart.notes for chart in charts.charts))
     sections += [
         Section(unit_column(capital(chart.label), chart.unit), tuple(_blocks(chart, shared)))
         for chart in charts.charts
     ]
     return CommandOutcome(charts, _page(charts, shared), tuple(sections), 0 if charts.in_control else 1)
-
-
-def _common_notes(charts: Sequence[MetricChart]) -> tuple[str, ...]:
-    """Return the notes that every one of several charts has: the page shows them once."""
-    if len(charts) < 2:
-        return ()
-    return tuple(note for note in charts[0].notes if all(note in chart.notes for chart in charts))
 
 
 def _page(charts: Charts, shared: tuple[str, ...]) -> Page:
@@ -96,17 +94,13 @@ def _set(limits: ChartReference) -> str:
     return _SET.format(chart=limits.chart, by=by_operator, day=f"{limits.made_at:%Y-%m-%d}", why=why, rules=rules)
 
 
-def _reading(charts: Charts) -> Iterator[Paragraph]:
+def _explain_page(charts: Charts) -> Iterator[Paragraph]:
     limits = [chart.reference for chart in charts.charts if chart.reference is not None]
     kinds = dict.fromkeys(
         _LIMITS[limit.chart].format(width=limit.width, threshold=limit.threshold) for limit in limits
     )
     away = _AWAY.format(kinds=" or ".join(kinds)) if kinds else _NOTHING
     yield from (Paragraph(text.format(limits=away)) for text in _READING)
-
-
-def _table(charts: Charts) -> Table:
-    return text_table(_CAPTION, _COLUMNS, [_row(chart) for chart in charts.charts], (2, 3, 4, 5, 7))
 
 
 def _row(chart: MetricChart) -> tuple[str | Cell, ...]:

@@ -196,7 +196,12 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     ]
     metrics = _adjust_p_values(unadjusted, terms)
     members = [run for run, is_used in zip(table.runs, grouping.used, strict=True) if is_used]
-    differences = tuple(chain.from_iterable(metric.differences or (_explain_missing(metric),) for metric in metrics))
+    differences = tuple(
+        chain.from_iterable(
+            metric.differences or (Difference(*metric.values.identity, reference=None, warnings=metric.notes),)
+            for metric in metrics
+        )
+    )
     return fill_from_object(
         Comparison,
         terms,
@@ -216,10 +221,6 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         terms=terms,
         of_metrics=tuple(metrics),
     )
-
-
-def _explain_missing(metric: MetricComparison) -> Difference:
-    return Difference(*metric.values.identity, reference=None, warnings=metric.notes)
 
 
 def _choose_metrics(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:

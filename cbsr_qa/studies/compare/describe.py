@@ -164,7 +164,8 @@ def _capability(
     try:
         if metric.lower is None or metric.upper is None or metric.per_run == 1:
             limits = {"lower": metric.lower, "upper": metric.upper, "confidence": terms.confidence}
-            members = _subgroups(_worst(metric), runs, indices)
+            worst = metric.most if metric.lower is None else metric.least
+            members = _subgroups(metric.mean if metric.per_run == 1 else worst, runs, indices)
             return capability(members, what=metric.key.label, **limits), None  # type: ignore[arg-type]
         return capability_of_extremes(
             *(_subgroups(values, runs, indices) for values in (metric.least, metric.most)),
@@ -185,9 +186,3 @@ def _subgroups(values: Array, runs: Sequence[RunLine], indices: IntArray) -> lis
     if len(indices) == len(members):  # single values per subgroup have no short-term deviation
         return [[value for group in members for value in group]]
     return members
-
-
-def _worst(metric: MetricValues) -> Array:
-    if metric.per_run == 1:
-        return metric.mean
-    return metric.most if metric.lower is None else metric.least

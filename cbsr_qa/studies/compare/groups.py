@@ -204,7 +204,12 @@ class Design:
             or crossing.group_parts[level_names.index(first)] == crossing.group_parts[level_names.index(second)]
         ):
             return ""
-        batches, stations = (self._apart(crossing, (first, second), side) for side in (1, 0))
+        unconnected = []
+        for side in (1, 0):  # batches alone, stations alone
+            joined = _cross_levels(self, crossing, side)
+            parts = [int(joined.group_parts[joined.index("group", name)]) for name in (first, second)]
+            unconnected.append(parts[0] != parts[1])
+        batches, stations = unconnected
         inseparable = "batches" if batches and not stations else "stations" if stations and not batches else ""
         problem = (
             f"and {inseparable} cannot be told apart"
@@ -215,12 +220,6 @@ class Design:
             f"{name} is {self._words(crossing, name, inseparable)}" for name in (first, second)
         )
         return f"{self.noun}s {problem}: {levels_of_groups}; run some sensors of one batch at one station in both"
-
-    def _apart(self, crossing: Crossing, names: tuple[str, str], side: int) -> bool:
-        """Whether batches (side 1) or stations (side 0) alone leave two groups unconnected."""
-        joined = _cross_levels(self, crossing, side)
-        first_part, second_part = (int(joined.group_parts[joined.index("group", name)]) for name in names)
-        return first_part != second_part
 
     def _words(self, crossing: Crossing, name: str, other: str) -> str:
         pairs = sorted(self.levels[level] for level in _levels_of(crossing)[name])

@@ -17,8 +17,8 @@ from cbsr_qa.studies.compare.tables import amount, sections
 from cbsr_qa.studies.compare.terms import By
 
 _NOTHING: Final = 3
-_MOST_IN_HEADLINE: Final = 2
-_MOST_DIGITS: Final = 9
+_MAX_IN_HEADLINE: Final = 2
+_MAX_DIGITS: Final = 9
 _NONE: Final = "–"
 _COMPARED: Final = "by {by}, with {reference} as reference"
 _RUNS: Final = "{runs} of {sensors} at {stations}, recipe {recipes}"
@@ -79,13 +79,10 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
     banner = Banner("plain", "●" if comparison.compared else _NONE, worded.headline, "")
     subject, all_warnings = f"by {comparison.by}", (*warnings, *comparison.warnings)
     page = Page("Comparison", subject, banner, identity, comparison.simulated, all_warnings, advice)
-    laid_out = [*sections(worded), *([_notes_section(notes)] if notes else [])]
+    laid_out = list(sections(worded))
+    if notes:  # they change no decision
+        laid_out.append(Section("Notes", tuple(map(Paragraph, notes)), page_only=True))
     return CommandOutcome(worded, page, tuple(laid_out), 0 if comparison.compared else _NOTHING)
-
-
-def _notes_section(notes: Sequence[str]) -> Section:
-    """Return a section of notes that change no decision, on the page only."""
-    return Section("Notes", tuple(map(Paragraph, notes)), page_only=True)
 
 
 def _headline(comparison: Comparison) -> str:
@@ -97,18 +94,15 @@ def _headline(comparison: Comparison) -> str:
         ((metric, difference) for metric, difference in comparison.pairs if comparison.significant(difference)),
         key=lambda pair: -abs(pair[1].effect_size or 0.0),
     )
-    readings: list[tuple[MetricComparison, Estimated, str]] = [
-        (metric, difference, _who(str(difference.group), comparison))
-        for metric, difference in significant_pairs[:_MOST_IN_HEADLINE]
-    ]
+    has_kind = comparison.by in (By.BATCH, By.MATERIAL, By.STATION)
+    readings: list[tuple[MetricComparison, Estimated, str]] = []
+    for metric, difference in significant_pairs[:_MAX_IN_HEADLINE]:
+        group = str(difference.group)
+        readings.append((metric, difference, prefix_kind(str(comparison.by), group) if has_kind else group))
     titles = {metric.values.title for metric, *_ in readings}
+    stations = [(metric, station) for metric in comparison.of_metrics for station in metric.stations]
     deviating_stations = sorted(
-        (
-            (station_metric, station)
-            for station_metric in comparison.of_metrics
-            for station in station_metric.stations
-            if comparison.significant(station)
-        ),
+        (pair for pair in stations if comparison.significant(pair[1])),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
     readings += [
@@ -121,9 +115,9 @@ def _headline(comparison: Comparison) -> str:
         *_say_missing(comparison),
     ]
     unlisted_count = len(significant_pairs) + len(deviating_stations) - len(readings)
-    text = "; ".join(
-        [*clauses, *([_MORE.format(count=plural(unlisted_count, "more difference"))] if unlisted_count else [])]
-    )
+    if unlisted_count:
+        clauses.append(_MORE.format(count=plural(unlisted_count, "more difference")))
+    text = "; ".join(clauses)
     return text if text.startswith(tuple(group_names)) else capital(text)
 
 
@@ -278,7 +272,7 @@ def _constant(metric: MetricComparison) -> list[str]:
         or len(reading_by_group) < 2
     ):
         return []
-    for digits in range(3, _MOST_DIGITS + 1):  # digits that separate them
+    for digits in range(3, _MAX_DIGITS + 1):  # digits that separate them
         text_by_group = {name: amount(value, metric.values.unit, digits) for name, value in reading_by_group.items()}
         if len(set(text_by_group.values())) == len(set(reading_by_group.values())):
             break
@@ -289,10 +283,6 @@ def _same(samples: Sequence[Array]) -> bool:
     """Whether there are values that are equal but for rounding of means."""
     values = np.concatenate([np.zeros(0), *samples])
     return bool(len(values)) and bool(np.ptp(values) <= 1e-12 * np.abs(values).max())
-
-
-def _who(group: str, comparison: Comparison) -> str:
-    return prefix_kind(str(comparison.by), group) if comparison.by in (By.BATCH, By.MATERIAL, By.STATION) else group
 
 
 def _join_groups(names: Sequence[str], most: int = 3) -> str:

@@ -8,14 +8,13 @@ from typing import Final
 from cbsr_qa.domain.numbers import prefix_kind
 from cbsr_qa.domain.results.report import Block, Figure, Paragraph, Section, Table
 from cbsr_qa.report.tables import capital, number, plural, text_table, unit_column, unit_shown
-from cbsr_qa.stats.process_capability import Index
 from cbsr_qa.stats.samples import Interval
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
-from cbsr_qa.studies.compare.describe import QUANTILES, Distribution
+from cbsr_qa.studies.compare.describe import QUANTILES
 from cbsr_qa.studies.compare.differences import Difference, Estimated, PlaceDifference
 from cbsr_qa.studies.compare.terms import By
 
-_MOST_DRAWN: Final = 12
+_MAX_DRAWN: Final = 12
 _NONE: Final = "–"
 _DIFFERENCES: Final = "{pair}, {taken_out}; model: {models}."
 _ALIKE: Final = (
@@ -68,26 +67,24 @@ def _difference_tables(comparison: Comparison) -> Iterator[Table]:
     terms, interval_column = comparison.terms, f"{100 * comparison.confidence:g} % interval"
     columns = ("metric", "difference", interval_column, "p", "effect size", "result")
     decision_percent, power = 100 - 200 * terms.level, f"{100 * terms.power:g} %"
-    likeness_columns = (
-        "metric",
-        "margin",
-        "difference",
-        f"{decision_percent:g} % interval",
-        "p",
-        "alike",
-        f"sensors for {power}",
-    )
+    decision_column = f"{decision_percent:g} % interval"
+    likeness_columns = ("metric", "margin", "difference", decision_column, "p", "alike", f"sensors for {power}")
+    kinds = {"stations": ("station", comparison.all_stations), "batches": ("batch", comparison.all_batches)}
+    kind, names = kinds.get(comparison.others, ("", []))
+    adjusted = f"all of {prefix_kind(kind, names[0])}" if len(names) == 1 else f"adjusted for {comparison.others}"
     for group in comparison.groups[1:]:
         pairs = [(metric, difference) for metric, difference in comparison.pairs if difference.group == group.name]
         caption_words = {
             "pair": f"{group.name} − {comparison.reference}",
             "others": comparison.others,
-            "taken_out": _describe_adjustment(comparison),
+            "taken_out": adjusted,
         }
-        models = ", ".join(
-            dict.fromkeys(difference_of_pair.model.partition(":")[0] for _, difference_of_pair in pairs)
-        )
-        rows = [_difference_row(*row, comparison) for row in pairs]
+        models = ", ".join(dict.fromkeys(difference.model.partition(":")[0] for _, difference in pairs))
+        rows: list[tuple[str, ...]] = []
+        for metric, difference in pairs:
+            effect = _NONE if difference.effect_size is None else number(difference.effect_size, 2)
+            result = _result(metric, difference, comparison)
+            rows.append((_label(metric), *_format_estimate(difference), effect, result))
         yield from _table(_DIFFERENCES.format(**caption_words, models=models), columns, rows, range(1, 5))
         rows = [
             _likeness_row(metric, group.name, comparison) for metric in _select_metrics(comparison, terms.margins)
@@ -99,16 +96,17 @@ def _difference_tables(comparison: Comparison) -> Iterator[Table]:
         other_columns = ("metric", "method", "difference", interval_column, "p")
         yield from _table(_OTHER.format(**caption_words), other_columns, rows, (2, 3, 4), folded=True)
     if len(comparison.groups) > 1:
-        rows = [
-            _sensors_row(metric, terms.detect[metric.values.key.name])
-            for metric in _select_metrics(comparison, terms.detect)
-        ]
-        yield from _table(_TO_FIND.format(power=power), ("metric", "difference", "sensors of each"), rows, (1, 2))
+        yield from _sensors_table(comparison, power)
 
 
-def _difference_row(metric: MetricComparison, difference: Difference, comparison: Comparison) -> tuple[str, ...]:
-    effect = _NONE if difference.effect_size is None else number(difference.effect_size, 2)
-    return (_label(metric), *_format_estimate(difference), effect, _result(metric, difference, comparison))
+def _sensors_table(comparison: Comparison, power: str) -> Iterator[Table]:
+    rows = []
+    for metric in _select_metrics(comparison, comparison.terms.detect):
+        size = comparison.terms.detect[metric.values.key.name]
+        fitted = next((difference for difference in metric.differences if difference.deviation is not None), None)
+        sensors = "not known" if fitted is None else _count(fitted.sensors_needed)
+        rows.append((_label(metric), number(size), sensors))
+    return _table(_TO_FIND.format(power=power), ("metric", "difference", "sensors of each"), rows, (1, 2))
 
 
 def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) -> tuple[str, ...]:
@@ -137,11 +135,6 @@ def _other_rows(metric: MetricComparison, difference: Difference) -> Iterator[tu
     if difference.naive is not None:
         naive = difference.naive
         yield _label(metric), "t test", number(naive.difference), _range(naive.low, naive.high), _p(naive.p)
-
-
-def _sensors_row(metric: MetricComparison, size: float) -> tuple[str, ...]:
-    fitted = next((difference for difference in metric.differences if difference.deviation is not None), None)
-    return _label(metric), number(size), "not known" if fitted is None else _count(fitted.sensors_needed)
 
 
 def _select_metrics(comparison: Comparison, amounts: Mapping[str, float]) -> list[MetricComparison]:
@@ -185,7 +178,7 @@ def _group_tables(comparison: Comparison) -> Iterator[Table]:
         total = sum(failure.sensors for failure in group.failures)
         failed_rows += [
             (group.name, failure.metric, str(failure.sensors), f"{100 * failure.sensors / total:.0f} %")
-            for failure in group.failures[:_MOST_DRAWN]
+            for failure in group.failures[:_MAX_DRAWN]
         ]
     yield from _table(_FAILURES, (str(comparison.by), "metric", "sensors", "of all failures"), failed_rows, (2, 3))
 
@@ -196,7 +189,7 @@ def _select_for_figure(comparison: Comparison) -> list[MetricComparison]:
         return min(p_values, default=1.0), not metric.values.limited
 
     members = [metric for metric in comparison.of_metrics if any(len(values) for *_, values in metric.samples)]
-    return sorted(members, key=rank)[:_MOST_DRAWN]
+    return sorted(members, key=rank)[:_MAX_DRAWN]
 
 
 def _strips(metric: MetricComparison, comparison: Comparison) -> Figure:
@@ -244,32 +237,29 @@ def _draw_map(unit: str, places: Sequence[tuple[float, float, PlaceDifference]],
 
 
 def _values_table(comparison: Comparison) -> Iterator[Table]:
-    columns = ("metric", "group", "n", "mean", "spread", *map(_quantile_name, QUANTILES))
-    rows = [
-        (_label(metric), distribution.group, str(distribution.n), *_moments(distribution))
-        for metric in comparison.of_metrics
-        for distribution in metric.distributions
-    ]
+    quantile_names = ("median" if share == 0.5 else f"{100 * share:g} %" for share in QUANTILES)
+    columns = ("metric", "group", "n", "mean", "spread", *quantile_names)
+    rows = []
+    for metric in comparison.of_metrics:
+        for distribution in metric.distributions:
+            quantiles = [distribution.quantiles.get(f"{share:g}") for share in QUANTILES]
+            values = (distribution.mean, distribution.deviation, *quantiles)
+            words = [_NONE if value is None else number(value) for value in values]
+            rows.append((_label(metric), distribution.group, str(distribution.n), *words))
     return _table(_VALUES, columns, rows, range(2, len(columns)))
-
-
-def _quantile_name(share: float) -> str:
-    return "median" if share == 0.5 else f"{100 * share:g} %"
-
-
-def _moments(distribution: Distribution) -> tuple[str, ...]:
-    quantiles = [distribution.quantiles.get(f"{share:g}") for share in QUANTILES]
-    moments = (distribution.mean, distribution.deviation, *quantiles)
-    return tuple(_NONE if value is None else number(value) for value in moments)
 
 
 def _capability_table(comparison: Comparison) -> Iterator[Table]:
     rows = []
     for metric in comparison.of_metrics:
         for distribution in metric.distributions if metric.values.limited else ():
-            index = distribution.capability
-            indices = (None,) * 4 if index is None else (index.cp, index.cpk, index.pp, index.ppk)
-            rows.append((_label(metric), distribution.group, *map(_index, indices), distribution.no_capability or ""))
+            found = distribution.capability
+            indices = (None,) * 4 if found is None else (found.cp, found.cpk, found.pp, found.ppk)
+            words = [
+                _NONE if index is None else f"{index.value:.2f} ({index.low:.2f} to {index.high:.2f})"
+                for index in indices
+            ]
+            rows.append((_label(metric), distribution.group, *words, distribution.no_capability or ""))
     return _table(_CAPABILITY, ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "why not"), rows, (2, 3, 4, 5))
 
 
@@ -295,12 +285,6 @@ def _result(metric: MetricComparison, difference: Estimated, comparison: Compari
     if not comparison.significant(difference):
         return "not shown"
     return comparison.side(metric, difference).removesuffix(" than")
-
-
-def _describe_adjustment(comparison: Comparison) -> str:
-    kinds = {"stations": ("station", comparison.all_stations), "batches": ("batch", comparison.all_batches)}
-    kind, names = kinds.get(comparison.others, ("", []))
-    return f"all of {prefix_kind(kind, names[0])}" if len(names) == 1 else f"adjusted for {comparison.others}"
 
 
 def _label(metric: MetricComparison) -> str:
@@ -335,10 +319,6 @@ def _p(p_value: float | None) -> str:
 
 def _count(sensors: int | None) -> str:
     return "> 10⁹" if sensors is None else str(sensors)
-
-
-def _index(index: Index | None) -> str:
-    return _NONE if index is None else f"{index.value:.2f} ({index.low:.2f} to {index.high:.2f})"
 
 
 def _share(share: float | None, inside: Interval | None) -> str:

@@ -6,7 +6,6 @@ from typing import Final
 from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section
 from cbsr_qa.report.tables import plural, text_table, unit_column
 from cbsr_qa.studies.frontier.point import Accuracy, Knob, Point, TimeBasis
-from cbsr_qa.studies.frontier.setting import Setting
 from cbsr_qa.studies.frontier.study import Frontier
 
 _NONE: Final = "–"
@@ -77,7 +76,10 @@ def _page(frontier: Frontier) -> Page:
     if recommended.way is not None and recommended.accuracy is not None:
         force, minutes = _format_accuracy(recommended.accuracy["force_error"]), (recommended.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", recommended.why)
-        facts = [("Recommended", _setting(recommended.way))]
+        setting = recommended.way
+        strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
+        words = setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")}
+        facts = [("Recommended", _SETTING.format_map(words))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),
@@ -87,11 +89,6 @@ def _page(frontier: Frontier) -> Page:
     ]
     simulated = ("sensors, station and readings",) if counts[TimeBasis.STATION] else ()
     return Page("Frontier", "What accuracy costs in time", banner, tuple(facts), simulated, ())
-
-
-def _setting(setting: Setting) -> str:
-    strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
-    return _SETTING.format_map(setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")})
 
 
 def _how_to_read(frontier: Frontier) -> Iterator[Block]:
@@ -152,7 +149,7 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
 def notes_of(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     if len({point.note for point in members}) == 1:
-        return list(filter(None, [members[0].note]))
+        return [members[0].note] if members[0].note else []
     varying = _varying_knobs(members)
     return [
         f"{_knobs({name: point.knobs.get(name) for name in varying})}: {point.note}"

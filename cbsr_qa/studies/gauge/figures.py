@@ -1,7 +1,7 @@
 """The six usual panels of a gauge study (AIAG MSA 4th edition, chapter III)."""
 
 from collections.abc import Sequence
-from math import sqrt
+from math import ceil, sqrt
 from typing import Final
 
 import numpy as np
@@ -15,7 +15,7 @@ from cbsr_qa.stats.gauge.crossed_study import Components, Study
 from cbsr_qa.stats.nelson import d2_d3
 
 #: Number of names that fit side by side along an axis.
-_MOST_NAMES: Final = 12
+_MAX_NAMES: Final = 12
 #: Names per row of a legend, and the height of a row [in].
 _LEGEND_COLUMNS: Final = 3
 _LEGEND_ROW_IN: Final = 0.15
@@ -24,7 +24,8 @@ _LEGEND_ROW_IN: Final = 0.15
 @draw_svg
 def six_panels(study: Study, components: Components, unit: str) -> Canvas:
     """Draw components, values by sensor and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
-    figure, axes = _panels(_LEGEND_ROW_IN * _legend_rows(study))
+    legend_rows = ceil(len(study.stations) / _LEGEND_COLUMNS) if len(study.stations) <= _MAX_NAMES else 0
+    figure, axes = _panels(_LEGEND_ROW_IN * legend_rows)
     appraiser, values = study.appraiser, study.values
     _components(axes[0], components)
     axes[1].set_title("by sensor")
@@ -104,7 +105,7 @@ def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: floa
             axes.plot(x_positions[flags], values[flags], "o", color=colour, markersize=2.8)
         if column:
             axes.axvline(column * count - 0.5, color=FAINT, linewidth=0.5)
-        if len(study.stations) <= _MOST_NAMES:
+        if len(study.stations) <= _MAX_NAMES:
             place = (column + 0.5) / len(study.stations)
             axes.text(place, -0.05, name[:16], transform=axes.transAxes, ha="center", va="top", fontsize=6.5)
     for line, style in ((centre, "-"), (low, "--"), (high, "--")):
@@ -119,13 +120,9 @@ def _interaction(axes: Axes, study: Study) -> None:
     for column, name in enumerate(study.stations):
         colour, dashes = CYCLE[column % len(CYCLE)], ("-", "--", ":")[column // len(CYCLE) % 3]
         axes.plot(means[:, column], "o", linestyle=dashes, color=colour, markersize=2.6, label=name[:16])
-    if len(study.stations) <= _MOST_NAMES:
+    if len(study.stations) <= _MAX_NAMES:
         _legend_below(axes, 0.5)
     _names(axes, study.sensors)
-
-
-def _legend_rows(study: Study) -> int:
-    return -(-len(study.stations) // _LEGEND_COLUMNS) if len(study.stations) <= _MOST_NAMES else 0
 
 
 def _legend_below(axes: Axes, gap_in: float) -> None:
@@ -137,7 +134,7 @@ def _legend_below(axes: Axes, gap_in: float) -> None:
 
 
 def _names(axes: Axes, names: Sequence[str]) -> None:
-    step = -(-len(names) // _MOST_NAMES)
+    step = -(-len(names) // _MAX_NAMES)
     places = range(0, len(names), step)
     short = [names[place][:10] for place in places]
     turned = 30 if sum(map(len, short)) > 48 else 0

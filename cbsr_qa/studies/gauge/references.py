@@ -143,7 +143,11 @@ def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
     """
     references: list[ReferenceValue] = []
     for text in given:
-        references += _read_file(text) if text.endswith(".toml") else [_parse_option(text)]
+        if text.endswith(".toml"):
+            read_values = validate(_ReferenceFile, open_document(DocumentKind.REFERENCES, Path(text)))
+            references += read_values
+        else:
+            references.append(_parse_option(text))
     keys = [(reference.serial, reference.metric) for reference in references]
     for key in keys:
         if keys.count(key) > 1:
@@ -151,10 +155,6 @@ def references_of(given: Sequence[str]) -> tuple[ReferenceValue, ...]:
                 f"sensor {key[0]} has {keys.count(key)} reference values of {key[1]}", remedy="give one"
             )
     return tuple(references)
-
-
-def _read_file(name: str) -> tuple[ReferenceValue, ...]:
-    return validate(_ReferenceFile, open_document(DocumentKind.REFERENCES, Path(name)))
 
 
 def _parse_option(text: str) -> ReferenceValue:

@@ -63,8 +63,11 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
     if runs and not absent:
         return
     check_names(store, selection, lambda field: request.locate("study", field))
+    # Its sensors and recipe, at any station and on any day.
     runs_of_names = store.fleet.read_lines(RunSelection(serials=selection.serials, recipe=selection.recipe))
-    remedy = f"choose other days, other names or another recipe{_days(runs_of_names)}"
+    days = sorted(run.day for run in runs_of_names)
+    day_words = f"; runs of its sensors and recipe began from {days[0]} to {days[-1]}" if days else ""
+    remedy = f"choose other days, other names or another recipe{day_words}"
     # Without any matching run every name is absent, so that names are not the cause.
     if runs:
         refusals = [
@@ -73,12 +76,6 @@ def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLin
         ]
         raise RefusedError("\n".join(refusals), remedy=remedy)
     raise RefusedError(f"{request.locate('study')}no analysed run fits this study", remedy=remedy)
-
-
-def _days(runs: Sequence[RunLine]) -> str:
-    """List the days of runs of the sensors and the recipe, for any days and stations; empty without any."""
-    days = sorted(run.day for run in runs)
-    return f"; runs of its sensors and recipe began from {days[0]} to {days[-1]}" if days else ""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

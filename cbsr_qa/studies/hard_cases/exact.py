@@ -104,10 +104,13 @@ def exact_image(jacobian: Array, weights: Array, hyperparameter: float, variance
         for row, row_variance in enumerate(variance.tolist()):
             system[row][row] += mp.mpf(hyperparameter) ** 2 * mp.mpf(row_variance)
         coefficients = mp.cholesky_solve(mp.matrix(system), mp.matrix(readings.tolist()))
-        split = [_split_value(value) for value in coefficients]
-    coefficient_parts = np.array(
-        split, dtype=np.longdouble
-    )  # (m, 3), each a double of the remainder of the previous ones
+        split = []
+        for value in coefficients:
+            high = float(value)
+            middle = float(value - high)
+            split.append((high, middle, float(value - high - middle)))
+    # (m, 3), each a double of the remainder of the previous ones.
+    coefficient_parts = np.array(split, dtype=np.longdouble)
     image: Array = ((scaled.T @ coefficient_parts).sum(axis=1) / root).astype(np.float64)
     return image
 
@@ -134,12 +137,6 @@ def exact_gram(rows: Long) -> list[list[Any]]:
     powers = (exponents[:, None] + exponents - (_SLICES + 1) * _BITS).ravel().tolist()
     flat = [mp.ldexp(mp.mpf(value), power) for value, power in zip(scaled_products, powers, strict=True)]
     return [flat[row * len(rows) : (row + 1) * len(rows)] for row in range(len(rows))]
-
-
-def _split_value(value: Any) -> tuple[float, float, float]:
-    high = float(value)
-    middle = float(value - high)
-    return high, middle, float(value - high - middle)
 
 
 def exact_line(x: Array, y: Array, stderr: Array) -> tuple[Any, Any]:

@@ -83,8 +83,5 @@ def _powers(axis: Axis) -> None:
     low, high = np.log10(axis.get_view_interval())
     first, last = int(np.ceil(low)), int(np.floor(high))
     powers = range(first, last + 1, max(1, -(-(last - first) // 10)))
-    plain_ticks(axis, [10.0**power for power in powers], _power_text)
-
-
-def _power_text(value: float) -> str:
-    return "10" + str(round(np.log10(value))).translate(_SUPERSCRIPTS)
+    ticks = [10.0**power for power in powers]
+    plain_ticks(axis, ticks, lambda value: "10" + str(round(np.log10(value))).translate(_SUPERSCRIPTS))

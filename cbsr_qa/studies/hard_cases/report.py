@@ -48,8 +48,11 @@ def stability_outcome(stability: Stability) -> CommandOutcome[Stability]:
     areas = dict.fromkeys(case.area for case in cases)
     columns = ("case", "area", "what is hard", "compared with", "note")
     rows = [(case.name, case.area, case.hard, case.truth, case.note or _NONE) for case in cases]
+    reading: list[Block] = [Paragraph(text) for text in _READING]
+    if any(case.condition is not None for case in cases):
+        reading.append(_figure(_CONDITIONS, cases, "conditions_svg"))
     sections = (
-        Section("How to read this page", tuple(_how_to_read(cases)), page_only=True),
+        Section("How to read this page", tuple(reading), page_only=True),
         *(Section(area.capitalize(), tuple(_area(area, cases))) for area in areas),
         Section("What is hard in each case", (text_table("Cases", columns, rows),), page_only=True),
     )
@@ -67,12 +70,6 @@ def _page(cases: Sequence[CaseResult]) -> Page:
         banner = Banner("fail", "✗", f"{plural(len(broken), 'case')} broken", f"{', '.join(broken)}; {reason}")
     facts = (("Took", f"{sum(case.seconds for case in cases):.0f} s of computing"),)
     return Page("Numerical stability", "Numerically hard cases", banner, facts, (), ())
-
-
-def _how_to_read(cases: Sequence[CaseResult]) -> Iterator[Block]:
-    yield from map(Paragraph, _READING)
-    if any(case.condition is not None for case in cases):
-        yield _figure(_CONDITIONS, cases, "conditions_svg")
 
 
 def _figure(caption: str, cases: Sequence[CaseResult], plot: str) -> Figure:

@@ -5,7 +5,7 @@ import re
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Any, Final
+from typing import Annotated, Final
 
 from pydantic import Field, InstanceOf
 
@@ -85,18 +85,17 @@ class Lot:
 
     def data_sha256(self) -> str:
         """SHA-256 of every measurement of the lot, independent of order."""
-        rows = sorted(canonical_json(row) for run in self.runs for row in _data_rows(run))
-        return hashlib.sha256("\n".join(rows).encode()).hexdigest()
-
-
-def _data_rows(run: LotRun) -> Iterable[list[Any]]:
-    for m in run.analysis.measurements:
-        key = [m.phase, m.location, m.trial, m.load, m.qualifier]
-        yield [run.line.serial, run.line.run, m.name, m.unit, *key, m.value, m.uncertainty, str(m.bound)]
+        rows = []
+        for run in self.runs:
+            for m in run.analysis.measurements:
+                key = [m.phase, m.location, m.trial, m.load, m.qualifier]
+                identity = [run.line.serial, run.line.run, m.name, m.unit, *key]
+                rows.append(canonical_json([*identity, m.value, m.uncertainty, str(m.bound)]))
+        return hashlib.sha256("\n".join(sorted(rows)).encode()).hexdigest()
 
 
 #: Size above that of any list of serial numbers [bytes].
-_LARGEST_BYTES: Final = 2**24
+_MAX_LIST_BYTES: Final = 2**24
 
 
 def read_serials(path: Path) -> tuple[str, ...]:
@@ -105,7 +104,7 @@ def read_serials(path: Path) -> tuple[str, ...]:
     RefusedError if the file cannot be read, has none, or a line is not a serial number (with its line number).
     """
     try:
-        lines = read_foreign(path, _LARGEST_BYTES).decode("utf-8-sig").splitlines()
+        lines = read_foreign(path, _MAX_LIST_BYTES).decode("utf-8-sig").splitlines()
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is not text in UTF-8"
         raise RefusedError(f"serial numbers cannot be read from {path}: {why}") from error
@@ -128,19 +127,7 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
     RefusedError if nothing is selected or matches, a sensor is not stored, a run is not good, or runs differ;
     StoreError if a run was altered.
     """
-    if not choice.words():
-        raise RefusedError(
-            "no golden lot is named",
-            remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
-        )
-    check_names(store, RunSelection(serials=(*choice.runs.serials, *choice.without)))
-    selected_lines = store.fleet.read_lines(choice.runs)
-    if not selected_lines:
-        check_names(store, choice.runs)
-        raise RefusedError(
-            f"no stored run fits the golden lot ({choice.words()})",
-            remedy="no stored run matches all of these choices together",
-        )
+    selected_lines = _select_lines(store, choice)
     chosen_lines = [run for run in selected_lines if run.serial not in choice.without]
     for line in chosen_lines:
         if line.altered:
@@ -163,15 +150,28 @@ def gather(store: Repository, choice: LotChoice) -> Lot:
         left_out=tuple(sorted({run.serial for run in selected_lines} & set(choice.without))),
         not_good=not_good,
         mixed=mixture_note,
-        simulated=_describe_simulated(runs),
+        # Each part once: seeds differ from run to run.
+        simulated=tuple(sorted({re.sub(r", seed \d+$", "", part) for run in runs for part in run.line.simulated})),
         analysed=runs_by_serial,
     )
 
 
-def _describe_simulated(runs: Sequence[LotRun]) -> tuple[str, ...]:
-    """Describe simulated parts, each once: seeds differ from run to run."""
-    descriptions = {what for run in runs for what in run.line.simulated}
-    return tuple(sorted({re.sub(r", seed \d+$", "", word) for word in descriptions}))
+def _select_lines(store: Repository, choice: LotChoice) -> Sequence[RunLine]:
+    """Return the runs that fit, those to leave out among them; refuse an unnamed lot, unknown names, and none."""
+    if not choice.words():
+        raise RefusedError(
+            "no golden lot is named",
+            remedy="choose runs of sensors known to be good: --serial, --serials FILE, --batch, --recipe, --since",
+        )
+    check_names(store, RunSelection(serials=(*choice.runs.serials, *choice.without)))
+    lines = store.fleet.read_lines(choice.runs)
+    if not lines:
+        check_names(store, choice.runs)
+        raise RefusedError(
+            f"no stored run fits the golden lot ({choice.words()})",
+            remedy="no stored run matches all of these choices together",
+        )
+    return lines
 
 
 def _has_result(run: RunLine) -> bool:
@@ -199,7 +199,9 @@ def _fate(run: RunLine) -> str:
 
 def _describe_mixture(store: Repository, runs: Sequence[LotRun], choice: LotChoice) -> tuple[str, ...]:
     """Describe differences of the runs that affect numbers; refuse them unless they were allowed."""
-    recipes = _group_serials((run, _recipe_words(run, store.runs.read_configuration(run.line.run))) for run in runs)
+    # A recipe is named with the digest of everything that affects its numbers.
+    digests = [measuring_digest(store.runs.read_configuration(run.line.run))[:8] for run in runs]
+    recipes = _group_serials((run, f"{run.line.recipe} {digest}") for run, digest in zip(runs, digests, strict=True))
     software = _group_serials(zip(runs, software_words([run.line for run in runs]), strict=True))
     mixed = tuple(
         f"{noun}: {'; '.join(f'{what} ({list_names(serials)})' for what, serials in groups.items())}"
@@ -221,8 +223,3 @@ def _group_serials(pairs: Iterable[tuple[LotRun, str]]) -> dict[str, list[str]]:
         if run.line.serial not in serials:
             serials.append(run.line.serial)
     return groups
-
-
-def _recipe_words(run: LotRun, configuration: str) -> str:
-    """Name a recipe with the digest of everything that affects its numbers."""
-    return f"{run.line.recipe} {measuring_digest(configuration)[:8]}"

@@ -1,6 +1,6 @@
 """A lot's measurements grouped by limit: the same name, phase and qualifier, every location and trial."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 
 from cbsr_qa.domain.errors import RefusedError
@@ -35,18 +35,18 @@ class Group:
                 if nothing:
                     why = nothing[0].how or "no reason given"
                     return f"{serial} has no value in {len(nothing)} of {len(run)}: {why}"
-        lower = [serial for serial, runs in self.sensors.items() if any(_is_censored(run) for run in runs)]
-        if lower:
-            return f"of {', '.join(lower)} only lower bounds are known (≥): hold longer, so that it is measured"
+        censored = [
+            serial
+            for serial, runs in self.sensors.items()
+            if any(m.bound is Bound.LOWER for run in runs for m in run)
+        ]
+        if censored:
+            return f"of {', '.join(censored)} only lower bounds are known (≥): hold longer, so that it is measured"
         counts = {len(run): serial for serial, runs in self.sensors.items() for run in runs}
         if len(counts) > 1:
             count_words = " and ".join(f"{count} (such as {serial})" for count, serial in sorted(counts.items()))
             return f"runs have different numbers of values: {count_words}"
         return ""
-
-
-def _is_censored(run: Iterable[Measurement]) -> bool:
-    return any(m.bound is Bound.LOWER for m in run)
 
 
 def groups_of(lot: Lot, names: Sequence[str], everything: bool) -> tuple[Group, ...]:

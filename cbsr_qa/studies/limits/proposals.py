@@ -1,6 +1,6 @@
 """From a golden lot to proposed limits: bounds, guard bands, risks, and their effect on the lot itself."""
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Collection, Iterable
 from dataclasses import dataclass
 from math import sqrt
 from typing import Final
@@ -177,7 +177,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
     identity = key.name, group.unit, key.phase, key.qualifier
     if why := group.why_not():
         return NoLimit(*identity, why)
-    present, smallest, largest = group.present, _worst(group, min), _worst(group, max)
+    present, smallest, largest = group.present, _pick_worst(group, min), _pick_worst(group, max)
     ask = Ask(
         terms.coverage,
         terms.confidence,
@@ -195,46 +195,42 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
     of_run = RunUncertainty(None, None, None, None, source)
     if uncertainty is not None:
         of_run = fill_from_object(RunUncertainty, uncertainty, degrees_of_freedom=uncertainty.freedom)
-    lower, upper = _ends(limits)
+    lower, upper = _read_limits(limits)
     limit = Limit(key.name, group.unit, lower, upper, width, key.phase, key.qualifier)
-    found_risks = None if uncertainty is None else _risks(bounds.values(), width, uncertainty)
+    found_risks, no_risks = _risks(bounds.values(), width, uncertainty)
+    values_by_sensor = [[value for run in runs for value in _list_values(run)] for runs in group.sensors.values()]
     return ProposedLimit(
         *identity,
         sensors=len(group.sensors),
         values=group.values,
         sides="both, because the recipe sets no limit" if present is None else "those of the present limit",
-        mean=_mean(group),
+        mean=sum(sum(values) / len(values) for values in values_by_sensor) / len(values_by_sensor),
         lower=lower,
         upper=upper,
         marginal=width,
         bounds=bounds,
-        positive=all(value > 0 for runs in group.sensors.values() for run in runs for value in _values(run)),
+        positive=all(value > 0 for values in values_by_sensor for value in values),
         uncertainty=of_run,
         risks=found_risks,
-        no_risks="" if found_risks else _why_no_risks(bounds.values(), uncertainty),
+        no_risks=no_risks,
         far_out=far_out,
         without_far_out=_refit_without(limits, smallest, largest, group.values, ask),
         present=present,
-        lot_fails_present=None if present is None else _failing(group, present),
-        lot_fails=_failing(group, limit),
-        lot_marginal=_failing(group, limit, Outcome.MARGINAL),
+        lot_fails_present=None if present is None else _list_failing(group, present),
+        lot_fails=_list_failing(group, limit),
+        lot_marginal=_list_failing(group, limit, Outcome.MARGINAL),
     )
 
 
-def _worst(group: Group, worst: Callable[[list[float]], float]) -> Runs:
-    return [[worst(_values(run)) for run in runs] for runs in group.sensors.values()]
+def _pick_worst(group: Group, worst: Callable[[list[float]], float]) -> Runs:
+    return [[worst(_list_values(run)) for run in runs] for runs in group.sensors.values()]
 
 
-def _values(run: Iterable[Measurement]) -> list[float]:
+def _list_values(run: Iterable[Measurement]) -> list[float]:
     return [m.value for m in run if m.value is not None]
 
 
-def _mean(group: Group) -> float:
-    sensors = [[value for run in runs for value in _values(run)] for runs in group.sensors.values()]
-    return sum(sum(values) / len(values) for values in sensors) / len(sensors)
-
-
-def _ends(limits: LotLimits) -> tuple[float | None, float | None]:
+def _read_limits(limits: LotLimits) -> tuple[float | None, float | None]:
     lower, upper = (None if bound is None else bound.limit for bound in (limits.lower, limits.upper))
     return lower, upper
 
@@ -246,7 +242,7 @@ def _refit_without(limits: LotLimits, smallest: Runs, largest: Runs, values: int
     other = lot_limits(
         [smallest[index] for index in kept_indices], [largest[index] for index in kept_indices], values, ask
     )
-    return BareLimits(*_ends(other), other.why)
+    return BareLimits(*_read_limits(other), other.why)
 
 
 def _guard(group: Group, bounds: dict[str, Bound], lot: Lot, terms: Terms) -> tuple[Uncertainty | None, float, str]:
@@ -267,10 +263,10 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     at_several_stations = any(len({run.line.station for run in runs}) > 1 for runs in lot.analysed.values())
     over_stations = f", at stations {', '.join(lot.stations)}" if at_several_stations else ""
     source = f"repeatability of {repeats} repeated runs{over_stations}"
-    repeated = [repeatability(_worst(group, pick), source) for pick in picks]
-    widest = max(filter(None, repeated), key=lambda u: u.standard, default=None)
-    if widest is not None:
-        return widest, source
+    repeated = [repeatability(_pick_worst(group, pick), source) for pick in picks]
+    known = [u for u in repeated if u is not None]
+    if known:
+        return max(known, key=lambda u: u.standard), source
     runs = [run for runs in group.sensors.values() for run in runs]
     stated_uncertainties = [pick(run, key=lambda m: m.value or 0.0).uncertainty for pick in picks for run in runs]
     known_uncertainties = [u for u in stated_uncertainties if u]
@@ -287,25 +283,24 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     )
 
 
-def _risks(bounds: Iterable[Bound], width: float, uncertainty: Uncertainty) -> ProposedRisks | None:
+def _risks(
+    bounds: Collection[Bound], width: float, uncertainty: Uncertainty | None
+) -> tuple[ProposedRisks | None, str]:
+    """Return the risks, or the reason for none."""
+    if uncertainty is None:
+        return None, _NO_UNCERTAINTY
     sums = [Risks(0.0, 0.0), Risks(0.0, 0.0)]
     for bound in bounds:
         for place, guard in enumerate((0.0, width)):
             bound_risks = risks(bound, guard, uncertainty)
             if bound_risks is None:
-                return None
+                is_ordered = any(bound.distribution is Distribution.ANY for bound in bounds)
+                return None, _NO_DISTRIBUTION if is_ordered else _ALL_UNCERTAIN
             sums[place] += bound_risks
-    return ProposedRisks(*sums)
+    return ProposedRisks(*sums), ""
 
 
-def _why_no_risks(bounds: Iterable[Bound], uncertainty: Uncertainty | None) -> str:
-    if uncertainty is None:
-        return _NO_UNCERTAINTY
-    ordered = any(bound.distribution is Distribution.ANY for bound in bounds)
-    return _NO_DISTRIBUTION if ordered else _ALL_UNCERTAIN
-
-
-def _failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
+def _list_failing(group: Group, limit: Limit, outcome: Outcome = Outcome.FAIL) -> tuple[str, ...]:
     """Name the sensors with this worst outcome over all their runs."""
     failing_sensors = []
     for serial, runs in group.sensors.items():

@@ -19,7 +19,7 @@ from cbsr_qa.report.draw.style import (
     light_grid,
     name_rows,
 )
-from cbsr_qa.studies.reproduce.compare import ComparedRow, Ours
+from cbsr_qa.studies.reproduce.compare import ComparedRow
 from cbsr_qa.studies.reproduce.reproduce import CentreForces
 
 
@@ -36,7 +36,11 @@ def bars_svg(table: Sequence[ComparedRow]) -> Canvas:
         light_grid(axes, "x")
         rows = [row for row in table if row.name == name]
         for row in rows:
-            _bars(axes, groups.index(row.group), row)
+            place = groups.index(row.group)
+            _bar(axes, place - 0.22, row.paper.value, row.paper.deviation, QUIET, "s")
+            _bar(axes, place, row.ours.value, row.ours.uncertainty, BLUE, "o")
+            for bench in row.beside:
+                _bar(axes, place + 0.22, bench.value, bench.uncertainty, ORANGE, "D")
         axes.set_title(f"{name} [{rows[0].unit}]", fontweight="normal")
         # Scale for the paper's bars and our uniform sheet's; the bench sheet may exceed it.
         ends = [(row.paper.value or 0.0) + (row.paper.deviation or 0.0) for row in rows]
@@ -49,13 +53,6 @@ def bars_svg(table: Sequence[ComparedRow]) -> Canvas:
         figure.text(0.62 + 0.12 * place, 0.012, label, color=colour, fontsize=7, va="bottom")
     fit_left(figure, grid, panels[:1])
     return figure
-
-
-def _bars(axes: Axes, place: int, row: ComparedRow) -> None:
-    _bar(axes, place - 0.22, row.paper.value, row.paper.deviation, QUIET, "s")
-    _bar(axes, place, row.ours.value, row.ours.uncertainty, BLUE, "o")
-    for other_value in row.beside:
-        _bar(axes, place + 0.22, other_value.value, other_value.uncertainty, ORANGE, "D")
 
 
 def _bar(axes: Axes, y: float, value: float | None, spread: float | None, colour: str, marker: str) -> None:
@@ -88,7 +85,7 @@ def settling_svg(table: Sequence[ComparedRow]) -> str:
                     axes.axhspan(printed.low, printed.high, color=FAINT, alpha=shade, linewidth=0)
                     axes.text(edge, printed.high - 0.4, printed.where, fontsize=6.5, color=INK, va="top")
             for direction, colour, marker in (("loading", BLUE, "o"), ("unloading", VERMILION, "s")):
-                _settling(axes, (row for row in rows if row.group == f"{percent}, {direction}"), colour, marker)
+                _draw_settling(axes, (row for row in rows if row.group == f"{percent}, {direction}"), colour, marker)
             axes.set_title(f"{percent}, simulated uniform sheet", fontweight="normal")
             axes.set_xlabel("strain [%]")
             axes.set_xlim(2, 33)
@@ -100,17 +97,23 @@ def settling_svg(table: Sequence[ComparedRow]) -> str:
     return _two_panels(2.5, draw)
 
 
-def _settling(axes: Axes, rows: Iterable[ComparedRow], colour: str, marker: str) -> None:
+def _draw_settling(axes: Axes, rows: Iterable[ComparedRow], colour: str, marker: str) -> None:
     for row in rows:
-        if row.ours.value is not None:
-            _upright(axes, float(row.name.split(" ")[0]), row.ours.value, row.ours, colour, marker)
-
-
-def _upright(axes: Axes, place: float, value: float, ours: Ours, colour: str, marker: str) -> None:
-    spread = ours.uncertainty or 0.0
-    axes.plot([place, place], [value - spread, value + spread], color=colour)
-    filled = "none" if ours.at_least else colour
-    axes.plot(place, value, color=colour, marker=marker, markersize=4, markerfacecolor=filled, linestyle="none")
+        time_s, spread_s = row.ours.value, row.ours.uncertainty or 0.0
+        if time_s is None:
+            continue
+        strain_percent = float(row.name.split(" ")[0])
+        axes.plot([strain_percent, strain_percent], [time_s - spread_s, time_s + spread_s], color=colour)
+        filled = "none" if row.ours.at_least else colour
+        axes.plot(
+            strain_percent,
+            time_s,
+            color=colour,
+            marker=marker,
+            markersize=4,
+            markerfacecolor=filled,
+            linestyle="none",
+        )
 
 
 def force_svg(presses: Sequence[CentreForces]) -> str:

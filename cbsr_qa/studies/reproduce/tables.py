@@ -47,7 +47,7 @@ def compare_tables(paper: Tables, sheets: Sheets, strips: Strips) -> dict[str, C
     return {key: make_table(TITLES[key], NOTES[key], rows[key]) for key in rows}
 
 
-def _both(sheets: Sheets, percent: int) -> list[SheetValues]:
+def _list_sheets(sheets: Sheets, percent: int) -> list[SheetValues]:
     """The uniform sheet of a material, then the bench sheet if simulated."""
     return [sheets[sheet, percent] for sheet in ("uniform", "bench") if (sheet, percent) in sheets]
 
@@ -56,7 +56,7 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
     printed = {row["wt_percent"]: row for row in paper["table1_material"]}
     for percent in _PERCENTS:
         row = printed[percent]
-        group, pair, strip = f"{percent} wt%", _both(sheets, percent), strips[percent]
+        group, pair, strip = f"{percent} wt%", _list_sheets(sheets, percent), strips[percent]
         modulus = Printed(row["E_kPa"], None, 0.05)
         factor = Printed(paper["gauge_factor"][str(percent)], None, 0.05)
         yield compare_value(
@@ -75,7 +75,7 @@ def _table1(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[ComparedR
 
 def _table2(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
-        group, pair, row = f"{percent} wt%", _both(sheets, percent), paper["table2_noise"][str(percent)]
+        group, pair, row = f"{percent} wt%", _list_sheets(sheets, percent), paper["table2_noise"][str(percent)]
         yield compare_value(
             group, "NF", "1", ValueOrigin.INPUT, Rule.DEVIATION, Printed(*row["NF"]),
             [sheet.noise_figure for sheet in pair], why=WHY["noise figure"],
@@ -92,7 +92,7 @@ def _table2(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
 
 
 def _table3(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
-    pair = _both(sheets, 8)
+    pair = _list_sheets(sheets, 8)
     for number, (mask, _) in enumerate(pair[0].by_mask):
         row = paper["table3_8wt_20pct_by_threshold"][f"{mask:.2f}"]
         for column, (name, unit) in enumerate(_SPATIAL):
@@ -107,7 +107,7 @@ def _table3(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
 
 
 def _table4(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
-    pair = _both(sheets, 8)
+    pair = _list_sheets(sheets, 8)
     for number, (place, _) in enumerate(pair[0].by_place):
         row = paper["table4_8wt_20pct_85"][place]
         for column, (name, unit) in enumerate(_SPATIAL):
@@ -124,7 +124,7 @@ def _random(paper: Tables, sheets: Sheets, key: str, column: int) -> Iterator[Co
         for percent, pair in zip(_PERCENTS, printed, strict=True):
             yield compare_value(
                 group, f"{name}, {percent} wt%", unit, ValueOrigin.OUTCOME, Rule.DEVIATION, Printed(*pair),
-                [sheet.random[number][column] for sheet in _both(sheets, percent)], why=WHY[f"{name} random"],
+                [sheet.random[number][column] for sheet in _list_sheets(sheets, percent)], why=WHY[f"{name} random"],
             )  # fmt: skip
 
 
@@ -135,16 +135,17 @@ def _settling(paper: Tables, sheets: Sheets, strips: Strips) -> Iterator[Compare
         printed = Printed(
             ranges=tuple(PrintedRange(where, *means[key][str(percent)]) for where, key in ranges.items())
         )
-        uniform, *bench = _both(sheets, percent)
+        uniform, *bench = _list_sheets(sheets, percent)
         for settling in uniform.settlings:
-            bench_values = [other.ours for sheet in bench for other in sheet.settlings if _alike(other, settling)]
+            bench_values = [
+                other.ours
+                for sheet in bench
+                for other in sheet.settlings
+                if (other.strain, other.loading) == (settling.strain, settling.loading)
+            ]
             yield _settling_row(f"{percent} wt%", settling, printed, bench_values)
         for settling in strips[percent].settlings:
             yield _settling_row(f"{percent} wt% in 1D", settling, printed, [])
-
-
-def _alike(one: SettlingOf, other: SettlingOf) -> bool:
-    return (one.strain, one.loading) == (other.strain, other.loading)
 
 
 def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: list[Ours]) -> ComparedRow:
@@ -158,7 +159,7 @@ def _settling_row(group: str, settling: SettlingOf, printed: Printed, beside: li
 
 def _force(paper: Tables, sheets: Sheets) -> Iterator[ComparedRow]:
     for percent in _PERCENTS:
-        group, key, pair = f"{percent} wt%", str(percent), _both(sheets, percent)
+        group, key, pair = f"{percent} wt%", str(percent), _list_sheets(sheets, percent)
         yield compare_value(
             group, "force error at L0, one ρ̄₀", "N", ValueOrigin.OUTCOME, Rule.SCATTER,
             Printed(paper["force_error_sd_N_at_L0"][key], None, 0.005), [force_error(sheet) for sheet in pair],

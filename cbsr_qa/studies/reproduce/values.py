@@ -100,6 +100,13 @@ def sheet_values(
     """Reduce an analysed run."""
     resistance = _run_value(measurements, "interelectrode_resistance", "", sheet, "deviation between pairs", 1e-3)
     slope = run.record.material.against_stress.slope.value
+    places = list(dict.fromkeys(load.record.load.label for load in _grid(run)))
+    size_ratios = []
+    for mask in run.settings.masks:
+        # Mean A_b/A_FA of the steady images at the tables' strain; 0 without blobs.
+        views = [(load.mask(mask), load.indenter.area_mm2) for load in _grid(run)]
+        ratios = [view.region.area_mm2 / area for view, area in views if view is not None and view.region is not None]
+        size_ratios.append((mask, float(np.mean(ratios)) if ratios else 0.0))
     return SheetValues(
         sheet=sheet,
         resistance=resistance,
@@ -108,9 +115,9 @@ def sheet_values(
         noise_floor=_noise_floor(run, sheet),
         noise=_run_value(measurements, "conductance_noise", "per element", sheet, "standard error"),
         by_mask=tuple((mask, _spatial(run, mask, sheet)) for mask in run.settings.masks),
-        by_place=tuple((place, _spatial(run, run.main_mask, sheet, place)) for place in _places(run)),
+        by_place=tuple((place, _spatial(run, run.main_mask, sheet, place)) for place in places),
         random=_random(run, measurements, sheet),
-        size_ratio=tuple((mask, _size_ratio(run, mask)) for mask in run.settings.masks),
+        size_ratio=tuple(size_ratios),
         settlings=tuple(_settlings(run, measurements, sheet)),
         presses=tuple(
             ForcePress(test.load.record.load.label, test.measured_N, test.global_N) for test in force.tests
@@ -198,10 +205,6 @@ def _grid(run: RunObservation, place: str = "") -> list[LoadObservation]:
     ]
 
 
-def _places(run: RunObservation) -> list[str]:
-    return list(dict.fromkeys(load.record.load.label for load in _grid(run)))
-
-
 def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> Spatial:
     """Mean and deviation over every frame of the holds, as the paper's Fig 10 has them."""
     columns: list[list[Array]] = [[], [], []]
@@ -232,13 +235,6 @@ def _spatial(run: RunObservation, mask: float, sheet: str, place: str = "") -> S
         for figure_values in held_values
     )
     return error, overlap, deviation
-
-
-def _size_ratio(run: RunObservation, mask: float) -> float:
-    """Mean A_b/A_FA of the steady images at the tables' strain; 0 without blobs."""
-    views = [(load.mask(mask), load.indenter.area_mm2) for load in _grid(run)]
-    ratios = [view.region.area_mm2 / area for view, area in views if view is not None and view.region is not None]
-    return float(np.mean(ratios)) if ratios else 0.0
 
 
 def _random(run: RunObservation, measurements: Sequence[Measurement], sheet: str) -> tuple[tuple[Ours, Ours], ...]:

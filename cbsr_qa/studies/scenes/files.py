@@ -59,7 +59,9 @@ def check_targets(
     RefusedError
         If a file exists already, or the output's name is that of another format.
     """
-    own_path = scenes_folder() / f"{_file_name(scene)}-seed{seed}.h5" if output is None else output
+    # In a file name other characters than letters, digits, . _ - become a dash.
+    file_name = re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
+    own_path = scenes_folder() / f"{file_name}-seed{seed}.h5" if output is None else output
     targets = [Target(OWN_FORMAT, own_path, _writer(OWN_FORMAT, plugins))]
     for name in dict.fromkeys(formats):
         if name != OWN_FORMAT:
@@ -145,11 +147,6 @@ def _writable(plugins: Plugins) -> list[str]:
         except Exception:  # noqa: BLE001 - a plugin's code may raise anything; its error is no help here
             continue
     return names
-
-
-def _file_name(scene: str) -> str:
-    """A scene's name as part of a file name: other characters than letters, digits, . _ - become a dash."""
-    return re.sub(r"[^\w.-]+", "-", scene).strip(".-") or "scene"
 
 
 @contextmanager

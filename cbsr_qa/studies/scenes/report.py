@@ -2,11 +2,11 @@
 
 import json
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from typing import Any, Final
 
 from cbsr_qa.config import text as echo
-from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Page, Paragraph, Section, Table
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Paragraph, Section, Table
 from cbsr_qa.report.tables import plural, text_table
 from cbsr_qa.simulate.chain import STAGES
 from cbsr_qa.studies.scenes.explain import Explained, ExplainedEffect
@@ -38,9 +38,11 @@ def explain_outcome(explained: Explained) -> CommandOutcome[Explained]:
     """Lay out what a scene contains."""
     effects_on = sorted((e for e in explained.effects if e.on), key=lambda effect: STAGES.index(effect.perturbs))
     effects_off = [effect for effect in explained.effects if not effect.on]
-    sections = [Section("On", (_on(effects_on, explained.frame_ms),))] if effects_on else []
-    sections += [Section("Off", (_off(effects_off),))] if effects_off else []
-    sections += [Section("Not modelled", tuple(map(Paragraph, explained.not_modelled)))]
+    sections = [Section("On", (_make_effects_table(effects_on, explained.frame_ms),))] if effects_on else []
+    if effects_off:
+        rows = [(e.name, e.does or (f"perturbs {e.perturbs}" if e.perturbs else "")) for e in effects_off]
+        sections.append(Section("Off", (text_table(_OFF, ("effect", "what it does"), rows),)))
+    sections.append(Section("Not modelled", tuple(map(Paragraph, explained.not_modelled))))
     headline = _ON.format(on=len(effects_on), effects=plural(len(explained.effects), "effect"))
     facts = [("Scene", explained.scene)]
     facts += [("Measured with", explained.measured_with)] if explained.measured_with else []
@@ -57,7 +59,7 @@ def _total(explained: Explained) -> str:
     return _FRAME.format(frame=_milliseconds(explained.frame_ms), recording=recording)
 
 
-def _on(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
+def _make_effects_table(effects: Sequence[ExplainedEffect], frame_ms: float | None) -> Table:
     """Effects in order of stage, which is given for the first of each."""
     columns = (*_COLUMNS[:2], *_COLUMNS[4:]) if frame_ms is None else _COLUMNS
     rows, last_stage = [], ""
@@ -100,13 +102,6 @@ def plainly(value: Any) -> str:
     return json.dumps(value, ensure_ascii=not value.isprintable()) if isinstance(value, str) else str(value)
 
 
-def _off(effects: Iterable[ExplainedEffect]) -> Table:
-    rows = [
-        (effect.name, effect.does or (f"perturbs {effect.perturbs}" if effect.perturbs else "")) for effect in effects
-    ]
-    return text_table(_OFF, ("effect", "what it does"), rows)
-
-
 def scene_outcome(run: SceneRun) -> CommandOutcome[SceneRun]:
     """Lay out the recording, with the losses of each format."""
     headline = _FRAMES.format(frames=plural(run.frames, "frame"), seconds=run.duration_s)
@@ -118,10 +113,8 @@ def scene_outcome(run: SceneRun) -> CommandOutcome[SceneRun]:
     facts = (("Scene", _SEEDED.format(scene=run.scene, seed=run.seed)), ("Sensor", sensor))
     remarks = tuple(load.remark for load in run.loads if load.remark is not None)
     banner = Banner("plain", _NONE, headline, reason + plural(len(run.loads), "load"))
-    sections = tuple(Section(file.format, tuple(_file(file.path, file.notes))) for file in run.files)
+    sections = tuple(
+        Section(file.format, (Paragraph(file.path), *(Paragraph(note, "note") for note in file.notes)))
+        for file in run.files
+    )
     return CommandOutcome(run, Page("Scene", run.scene, banner, facts, (), (), remarks), sections)
-
-
-def _file(path: str, notes: Iterable[str]) -> Iterator[Block]:
-    yield Paragraph(path)
-    yield from (Paragraph(note, "note") for note in notes)

@@ -7,7 +7,7 @@ import time
 import timeit
 from collections.abc import Callable, Mapping
 from dataclasses import replace
-from functools import cache, partial
+from functools import cache
 from typing import Final, TypeVar
 
 import numpy as np
@@ -84,7 +84,13 @@ def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
     sensor, contact_mm = _disc(), _PIN_CONTACT_MM
     if electrodes == "arc":
         sensor, contact_mm = replace(sensor, electrodes=_arcs()), _ARC_CONTACT_MM
-    model, setup_s = time_call(partial(_model, sensor, contact_mm, order, size_mm))
+
+    def make_model() -> ForwardModel:
+        mesh = sheet_mesh(sensor, size_mm=size_mm, order=order)
+        contacts = np.full(sensor.electrodes.count, contact_mm)
+        return ForwardModel(mesh, sensor.pattern, np.ones(len(mesh.elements)), contacts, order=order)
+
+    model, setup_s = time_call(make_model)
     accuracy = _arc_errors(model) if electrodes == "arc" else _pin_errors(model)
     return Point(
         TimeBasis.COMPUTER,
@@ -115,12 +121,6 @@ def memory_bytes(elements: FiniteElements, electrodes: int) -> float:
     factors = splu(matrix, permc_spec="MMD_AT_PLUS_A", diag_pivot_thresh=0.0, relax=1, panel_size=1, options=options)
     sparse_bytes = _ENTRY_BYTES * (factors.nnz + matrix.nnz)
     return float(sparse_bytes + stiffness.nbytes + 8 * elements.count * electrodes)
-
-
-def _model(sensor: SensorType, contact_mm: float, order: int, size_mm: float) -> ForwardModel:
-    mesh = sheet_mesh(sensor, size_mm=size_mm, order=order)
-    contacts = np.full(sensor.electrodes.count, contact_mm)
-    return ForwardModel(mesh, sensor.pattern, np.ones(len(mesh.elements)), contacts, order=order)
 
 
 def _arc_errors(model: ForwardModel) -> dict[str, float]:

@@ -63,7 +63,12 @@ def computer_work(*, quick: bool = False) -> Iterator[Work]:
             run = partial(precision_point, precision, batch)
             yield _work(SERIES_PRECISION, {"precision": precision, "batch": batch}, run)
     seeds = _SEEDS[quick]
-    for method, factor in _QUICK_METHODS if quick else _methods():
+    all_methods = (
+        (method, factor)
+        for method in (*list_methods(), RECIPES_METHOD)
+        for factor in sorted((1.0, *FACTORS.get(method.smoothing, ())))
+    )
+    for method, factor in _QUICK_METHODS if quick else all_methods:
         run = partial(method_point, method, factor, seeds)
         yield _method_work(SERIES_METHODS, method, run, seeds, smoothing_over_own=factor)
     for method, sizes_mm in _IMAGE_SIZES_MM[quick].items():
@@ -89,12 +94,6 @@ def worth_their_time(points: Sequence[Point]) -> list[Point]:
         return shared if point.accuracy else None
 
     return mark_worth(points, common_cost_s)
-
-
-def _methods() -> Iterator[tuple[MethodSetting, float]]:
-    for method in (*list_methods(), RECIPES_METHOD):
-        for factor in sorted((1.0, *FACTORS.get(method.smoothing, ()))):
-            yield method, factor
 
 
 def _method_work(series: str, method: MethodSetting, run: Callable[[], Point], seeds: int, **knob: float) -> Work:

@@ -14,7 +14,7 @@ from cbsr_qa.studies.frontier.recommend import Needed, Recommendation, joint_std
 PLACE: Final = "place_error"
 COVERED: Final = {"68": "covered_68", "95": "covered_95"}
 #: Least number of points for a power law: two parameters, and two to contradict them.
-_FEWEST_FITTED: Final = 4
+_MIN_FITTED: Final = 4
 #: Probability of deviations as large as a law's own, below which the law does not fit.
 _FITS: Final = 0.05
 #: Smallest ratio of the exponent to its standard error for errors that decrease.
@@ -37,7 +37,11 @@ def recommend_presses(points: Sequence[Point], target_mm: float | None) -> Recom
     best = min(points, key=lambda point: point.accuracy[PLACE].value)
     error = best.accuracy[PLACE]
     if target_mm is None:
-        sufficient = [point for point in points if _alike(point.accuracy[PLACE], error)]
+        sufficient = [
+            point
+            for point in points
+            if point.accuracy[PLACE].value <= error.value + joint_stderr(point.accuracy[PLACE], error)
+        ]
         why = "the fewest that no larger number beats by more than the joint standard error"
         why += "; more presses may still be better" if sufficient[0] is largest else ""
     else:
@@ -95,7 +99,7 @@ def _power_law(points: Sequence[Point]) -> tuple[Array, Array, float] | None:
     p (2,), its covariance (2, 2) and c; None if the law does not fit or does not decrease.
     """
     errors = [point.accuracy[PLACE] for point in points]
-    if len(points) < _FEWEST_FITTED or not all(error.stderr and error.value > 0 for error in errors):
+    if len(points) < _MIN_FITTED or not all(error.stderr and error.value > 0 for error in errors):
         return None
     logs = np.log([_number(point) for point in points])
     log_errors = np.log([error.value for error in errors])
@@ -108,10 +112,6 @@ def _power_law(points: Sequence[Point]) -> tuple[Array, Array, float] | None:
         if error_falls and chi2.sf(misfit, len(points) - 2) >= _FITS
         else None
     )
-
-
-def _alike(one: Accuracy, best: Accuracy) -> bool:
-    return one.value <= best.value + joint_stderr(one, best)
 
 
 def _number(point: Point) -> int:

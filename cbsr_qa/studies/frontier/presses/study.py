@@ -29,11 +29,11 @@ IN_ORDER: Final = "first of the session, locating its last"
 #: Smallest number of presses tried, unless there are too few; each further number is about twice as large.
 _FIRST: Final = 9
 #: Largest number of presses tried: the time of learning grows with its cube.
-_MOST: Final = 2000
+_MAX_PRESSES: Final = 2000
 #: Least share and least number of the presses that are left out, and the largest number of them that are located.
 _LEFT_OUT: Final = 0.2
-_FEWEST_LOCATED: Final = 5
-_MOST_LOCATED: Final = 500
+_MIN_LOCATED: Final = 5
+_MAX_LOCATED: Final = 500
 #: Total of presses learned from over the draws of a number, and least and most draws: quick sweep (True) or whole.
 _LEARNED: Final = {True: 100, False: 400}
 _DRAWS: Final = {True: (1, 3), False: (2, 20)}
@@ -76,11 +76,17 @@ def press_frontier(
         tell(done, len(draws), f"{len(learned)} presses, {series}")
         trials_by_draw.setdefault((series, len(learned)), []).append(_try_draw(presses, learned, located))
     tell(len(draws), len(draws), "")
-    pace_s = _pace_s(labelled.presses.time_s)
+    time_s, pace_s = labelled.presses.time_s, None
+    if time_s is not None and np.ptp(time_s) > 0:
+        pace_s = float(np.median(np.diff(np.sort(time_s))))
     unchanged = int((~has_change).sum())
     note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
     outcomes = [_point(*key, trials, pace_s, note) for key, trials in trials_by_draw.items()]
-    points = mark_worth([outcome for outcome in outcomes if isinstance(outcome, Point)], _presses, [PLACE])
+    points = mark_worth(
+        [outcome for outcome in outcomes if isinstance(outcome, Point)],
+        lambda point: float(point.knobs["presses"]),
+        [PLACE],
+    )
     if not points:
         raise RefusedError(f"nothing can be learned from any draw of these presses: {outcomes[0]}")
     recommendation = recommend_presses([point for point in points if point.series == AT_RANDOM], target_mm)
@@ -92,10 +98,10 @@ def numbers_of(total: int) -> list[int]:
 
     RefusedError if there are too few to learn from some and locate others.
     """
-    largest = min(_MOST, total - _holdout_count(total))
+    largest = min(_MAX_PRESSES, total - _holdout_count(total))
     if largest < FEWEST_PRESSES:
         raise RefusedError(
-            f"{total} presses are too few to leave any out: {FEWEST_PRESSES} to learn from and {_FEWEST_LOCATED} to"
+            f"{total} presses are too few to leave any out: {FEWEST_PRESSES} to learn from and {_MIN_LOCATED} to"
             " locate are needed",
             remedy="press at more places",
         )
@@ -116,20 +122,20 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
             random = np.random.default_rng([*b"presses", number, split])
             located = _draw_places(visits, _holdout_count(total), random)
             learnable = random.permutation(np.setdiff1d(np.arange(total), located))
-            yield AT_RANDOM, timeless, learnable[:number], located[:_MOST_LOCATED]
+            yield AT_RANDOM, timeless, learnable[:number], located[:_MAX_LOCATED]
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
     early_numbers = [number for number in numbers if number <= total / 2]
     for number in early_numbers[-1:] if quick else early_numbers:
-        learned, latest = session[:number], session[-_holdout_count(total) :][-_MOST_LOCATED:]
+        learned, latest = session[:number], session[-_holdout_count(total) :][-_MAX_LOCATED:]
         latest = latest[~np.isin(visits[latest], visits[learned])]
-        if len(latest) >= _FEWEST_LOCATED:
+        if len(latest) >= _MIN_LOCATED:
             yield IN_ORDER, labelled, learned, latest
 
 
 def _holdout_count(total: int) -> int:
     """How many presses are left out at least."""
-    return max(_FEWEST_LOCATED, round(_LEFT_OUT * total))
+    return max(_MIN_LOCATED, round(_LEFT_OUT * total))
 
 
 def _draw_places(visits: Indices, count: int, random: np.random.Generator) -> Indices:
@@ -146,13 +152,6 @@ def _try_draw(presses: LabelledPresses, learned: Indices, located: Indices) -> T
         return try_presses(presses, learned, located)
     except (RecordingError, CalibrationError) as error:
         return error.reason
-
-
-def _pace_s(time_s: Array | None) -> float | None:
-    """Median time from one press to the next [s]."""
-    if time_s is None or not np.ptp(time_s) > 0:
-        return None
-    return float(np.median(np.diff(np.sort(time_s))))
 
 
 def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: float | None, note: str) -> Point | str:
@@ -200,7 +199,3 @@ def _mean(trials: Sequence[Trial], values: Sequence[Array], unit: str, better: B
         unit,
         better,
     )
-
-
-def _presses(point: Point) -> float:
-    return float(point.knobs["presses"])

@@ -73,7 +73,11 @@ def settle_known_curve(amplitudes: tuple[float, float], taus_s: tuple[float, flo
     with mpmath.workdps(DIGITS):
 
         def beyond(time_s: Any) -> Any:
-            return abs(_deviation(amplitudes, taus_s, time_s)) - mpmath.mpf(0.15)
+            deviation = sum(
+                mpmath.mpf(a) * mpmath.exp(-time_s / mpmath.mpf(tau))
+                for a, tau in zip(amplitudes, taus_s, strict=True)
+            )
+            return abs(deviation) - mpmath.mpf(0.15)
 
         # The last crossing: looked for from the end of the window, and not from where it was found.
         late = next(k for k in range(int(4 * _WINDOW_S), 0, -1) if beyond(mpmath.mpf(k - 1) / 4) > 0)
@@ -98,12 +102,6 @@ def steady_without_noise(noise: float) -> Answer:
     )
     condition = float(np.linalg.norm(np.linalg.pinv(design)[0]) * np.linalg.norm(design[:, 0]))
     return answer_from_condition(relative_error(float(steady.values[0]), _mp(1)), condition)
-
-
-def _deviation(amplitudes: tuple[float, float], taus_s: tuple[float, float], time_s: Any) -> Any:
-    return sum(
-        mpmath.mpf(a) * mpmath.exp(-time_s / mpmath.mpf(tau)) for a, tau in zip(amplitudes, taus_s, strict=True)
-    )
 
 
 def _mp(value: float | str) -> Any:
