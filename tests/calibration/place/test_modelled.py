@@ -10,7 +10,7 @@ from cbsr_qa.calibration.force.faults import FrameFaults
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
-from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.calibration.presses.learning import learn_presses
 
 _SIMULATED = (
     {"noise": 0.01},
