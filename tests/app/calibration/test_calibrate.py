@@ -415,7 +415,7 @@ def test_places_one_row_below_their_readings_are_suspected_and_shifted_back_only
     header, *rows = (folder / "presses.csv").read_text().splitlines()
     (tmp_path / "late.csv").write_text("\n".join([header, rows[-1], *rows[:-1]]) + "\n")
     late = calibrated(folder, "--differences", to=tmp_path / "late.h5", presses=tmp_path / "late.csv")
-    assert late.exit_code == 1
+    assert late.return_value == 1
     printed = json.loads(late.stdout)
     assert printed["place_learned"] is False
     assert "places stand 1 row below their readings (--row-shift 1)" in printed["labels"]["suspected"]
@@ -423,7 +423,7 @@ def test_places_one_row_below_their_readings_are_suspected_and_shifted_back_only
     assert printed["labels"]["suspected"] == printed["warnings"][0]
     files = {"presses": tmp_path / "late.csv"}
     shifted = calibrated(folder, "--differences", "--row-shift", "1", to=tmp_path / "shifted.h5", **files)
-    assert shifted.exit_code == 0
+    assert shifted.return_value == 0
     assert (json.loads(shifted.stdout)["used"], json.loads(shifted.stdout)["labels"]["suspected"]) == (59, None)
     assert "a shift by 60 rows leaves none" in refused(
         "calibrate", folder / "readings.csv", "--presses", tmp_path / "late.csv", "--pattern", folder / "pairs.csv",
