@@ -26,7 +26,7 @@ from cbsr_qa.system.clock import VirtualClock
 
 
 def run(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
+    return CliRunner().invoke(app, list(map(str, arguments)), standalone_mode=False)
 
 
 def refused(*arguments):
