@@ -49,6 +49,10 @@ def calibrate(
             help="Frames of the unloaded sheet, with the columns of READINGS; READINGS must then hold whole frames."
         ),
     ] = None,
+    row_shift: Annotated[
+        int,
+        typer.Option(help="Number of rows by which places stand below their readings; the ends are left out."),
+    ] = 0,
     output: PageOutput = None,
     as_json: AsJson = False,
 ) -> int:
@@ -61,5 +65,5 @@ def calibrate(
     from cbsr_qa.app.calibration.calibrate import calibrate_from_presses
 
     check_page(output)
-    files = PressFiles(readings, presses, sensor_type, pattern, differences, rest)
+    files = PressFiles(readings, presses, sensor_type, pattern, differences, rest, row_shift)
     return show(calibrate_from_presses(files, to, tell=announce), output=output, as_json=as_json)

@@ -9,7 +9,8 @@ from scipy.io import loadmat
 
 from cbsr_qa.calibration.place.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, PressReadings
-from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses, learn_presses
+from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses
+from cbsr_qa.calibration.presses.learning import learn_presses
 from cbsr_qa.calibration.presses.number_tables import NumberTable
 from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout

@@ -7,7 +7,7 @@ import numpy as np
 
 from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.calibration.place.pairs import DistinctPairs
-from cbsr_qa.calibration.presses.inputs import LabelledPresses, PressReadings, read_press_readings
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, PressReadings, read_press_readings, shift_rows
 from cbsr_qa.calibration.presses.tables import read_pairs, read_presses, source_file
 from cbsr_qa.calibration.runtime.press_calibration import check_pressed_recording
 from cbsr_qa.config.loader import load_pressed_type
@@ -30,6 +30,7 @@ class PressFiles:
     pattern : pattern of the tables' columns; None if the readings are a recording.
     differences : whether the readings are changes.
     rest : frames of the unloaded sheet, in the form of the readings.
+    row_shift : number of rows by which places stand below their readings; rows without a partner are left out.
     """
 
     readings: Path
@@ -38,6 +39,7 @@ class PressFiles:
     pattern: Path | None = None
     differences: bool = False
     rest: Path | None = None
+    row_shift: int = 0
 
 
 def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[SourceFile, ...]]:
@@ -60,6 +62,8 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
     loaded_type, sized = load_pressed_type(files.sensor_type)
     presses = read_presses(files.presses)
     labelled = LabelledPresses(loaded_type.value, sized, _readings(files, loaded_type.value), presses)
+    if files.row_shift:
+        labelled = shift_rows(labelled, files.row_shift)
     named_paths = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
     named_paths |= {"rest": files.rest, "sensor type": loaded_type.document.path}
     return labelled, tuple(source_file(role, path) for role, path in named_paths.items() if path is not None)

@@ -12,7 +12,8 @@ from cbsr_qa.analysis.recording.press_files import PressFiles, read_labelled_pre
 from cbsr_qa.app.calibration.file import check_free
 from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.calibration.presses.inputs import LabelledPresses
-from cbsr_qa.calibration.presses.issue import Identity, PressesLearned, issue_from_presses, learn_presses
+from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses
+from cbsr_qa.calibration.presses.learning import PressesLearned, learn_presses
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.press_calibration import (
@@ -21,7 +22,7 @@ from cbsr_qa.domain.results.press_calibration import (
     PressCalibration,
     SheetRegistration,
 )
-from cbsr_qa.domain.results.report import CommandOutcome, Figure, Section
+from cbsr_qa.domain.results.report import Banner, CommandOutcome, Figure, Section
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.report.page import answer
 from cbsr_qa.report.tables import format_fixed, plural, with_uncertainty
@@ -87,6 +88,20 @@ class HeldOut:
 
 
 @dataclass(frozen=True, slots=True)
+class Labels:
+    """Whether readings and labels seem to belong together by their rows.
+
+    Parameters
+    ----------
+    suspected : what seems to have happened to the tables; None if nothing is suspected.
+    gain_mm : by how much less a press is missed in the rows' likely order; None if nothing is suspected.
+    """
+
+    suspected: str | None
+    gain_mm: float | None
+
+
+@dataclass(frozen=True, slots=True)
 class PressesCalibrated:
     """A calibration that was issued from labelled presses.
 
@@ -95,6 +110,7 @@ class PressesCalibrated:
     calibration : file of the calibration.
     used, left_out : presses that it was, and was not, learned from; rows are counted from 1 below the header.
     explained : share of the readings' changes that the modelled sheet explains.
+    place_learned : whether presses left out are missed by clearly less than by guessing.
     """
 
     calibration: Path
@@ -106,6 +122,8 @@ class PressesCalibrated:
     warnings: tuple[str, ...]
     digest: str
     size_bytes: int
+    place_learned: bool
+    labels: Labels
 
 
 def calibrate_from_presses(
@@ -131,10 +149,10 @@ def calibrate_from_presses(
     learned = learn_presses(labelled, tell=tell)
     issued = issue_from_presses(identity, labelled, learned)
     write_calibration(to, issued)
-    return replace(_outcome(issued, to), sections=_sections(labelled, learned))
+    return replace(_outcome(issued, learned, to), sections=_sections(labelled, learned))
 
 
-def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCalibrated]:
+def _outcome(issued: PressCalibration, learned: PressesLearned, file: Path) -> CommandOutcome[PressesCalibrated]:
     result = PressesCalibrated(
         calibration=file,
         used=issued.used,
@@ -145,11 +163,20 @@ def _outcome(issued: PressCalibration, file: Path) -> CommandOutcome[PressesCali
         warnings=issued.findings,
         digest=issued.digest,
         size_bytes=file.stat().st_size,
+        place_learned=learned.place_learned,
+        labels=Labels(None, None)
+        if learned.row_order is None
+        else Labels(learned.row_order.words, learned.row_order.gain_mm),
     )
     reason = f"{plural(issued.used, 'press', 'presses')} of a {issued.sensor_type}"
     printed = (("Calibration", str(file)),)
     outcome = answer(result, "calibrated", reason, press_facts(issued), printed, issued.findings)
-    return replace(outcome, page=replace(outcome.page, kind="Calibration from presses", subject=file.name))
+    page = replace(outcome.page, kind="Calibration from presses", subject=file.name)
+    if learned.place_learned:
+        return replace(outcome, page=page)
+    missed = with_uncertainty(learned.place.held_out.mean_mm, learned.place.held_out.stderr_mm)
+    reason = f"presses left out are missed by {missed} mm, by guessing the middle by {learned.guess_mm:.3g} mm"
+    return replace(outcome, page=replace(page, banner=Banner("fail", "✗", "place not learned", reason)), exit_code=1)
 
 
 def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
@@ -168,9 +195,12 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
             error = f"{with_uncertainty(learned.error, learned.error_stderr)} {unit}"
             facts.append((f"Error of {name}", f"{error}, mean of {len(learned.values)} presses left out"))
             facts.append((f"Intervals hold the {name}", _format_coverage(*learned.covered.tolist())))
-    explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
-    facts.append(("Explained by the model", explained))
-    facts.append(("Sheet", _pose_words(issued.registration)))
+    if issued.registration.trusted:
+        explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
+        facts.append(("Explained by the model", explained))
+        facts.append(("Sheet", _pose_words(issued.registration)))
+    else:
+        facts.append(("Sheet", "its pose is not known; the place is learned from the presses alone"))
     return facts + [(f"Row {each.row} left out", each.why) for each in issued.left_out[:_MOST_ROWS]]
 
 
@@ -183,7 +213,7 @@ def _pose_words(pose: SheetRegistration) -> str:
     sentence = f"centre at ({x}, {y}) mm, turned by {_with(pose.rotation_deg, pose.rotation_stderr_deg, 1)}°"
     sentence += f"{', mirrored' if pose.mirrored else ''}, scale {_with(pose.scale, pose.scale_stderr, 3)}"
     sentence += f", radius {_with(pose.radius_mm, pose.radius_stderr_mm, 1)} mm"
-    return sentence if pose.trusted else f"{sentence}: not used"
+    return sentence
 
 
 def _with(value: float, stderr: float | None, digits: int) -> str:

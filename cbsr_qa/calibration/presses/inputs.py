@@ -115,6 +115,23 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
     return PressReadings(path, distinct, readings - mean, mean, noise)
 
 
+def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:
+    """Return presses whose places stand so many rows below their readings; rows without a partner are left out.
+
+    RecordingError if the tables differ in their numbers of rows, or none is left.
+    """
+    check_rows(labelled.readings, labelled.presses)
+    count = len(labelled.presses.place_mm)
+    if abs(shift) >= count:
+        raise RecordingError(
+            f"{labelled.presses.table.path} has {count} rows; a shift by {shift} rows leaves none",
+            remedy="give a shift by a few rows",
+        )
+    rows = np.arange(max(0, -shift), count - max(0, shift))
+    readings = replace(labelled.readings, changes=labelled.readings.changes[rows])
+    return replace(labelled, readings=readings, presses=labelled.presses.some(rows + shift))
+
+
 def check_rows(readings: PressReadings, presses: PressTable) -> None:
     """Check that readings and labels belong to the same presses; RecordingError names file and rows."""
     table, changes = presses.table, readings.changes

@@ -10,6 +10,7 @@ intervals.
 from dataclasses import dataclass
 from enum import StrEnum
 from math import log, sqrt
+from typing import Protocol
 
 import numpy as np
 from scipy import linalg
@@ -21,7 +22,6 @@ from cbsr_qa.stats.difference import Contrast, make_contrast
 from cbsr_qa.stats.mixed_model.reml import (
     RandomEffectSums,
     Ratio,
-    SmallSample,
     random_effect_sums,
     small_sample,
     variance_ratio,
@@ -35,6 +35,26 @@ class Model(StrEnum):
 
     MIXED = "mixed: group and station fixed, sensor random"
     FIXED = "fixed: group and station, one run a sensor"
+    SESSIONS = "mixed: group and station fixed, sensor and session random"
+
+
+class ContrastFreedom(Protocol):
+    """Basis of the degrees of freedom of a contrast."""
+
+    def freedom(self, contrast: Array) -> float:
+        """Return the degrees of freedom of one contrast (p,)."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class Scatter:
+    """Variance between runs of a sensor (0 where no sensor has two), and between sensors of each group (g,)."""
+
+    run_variance: float
+    sensor_variances: Array
+
+    def scale(self, factor: float) -> "Scatter":
+        """Return the variances of values multiplied by a factor."""
+        return Scatter(factor**2 * self.run_variance, factor**2 * self.sensor_variances)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -52,7 +72,9 @@ class Fit:
     notes : weaknesses of the design and the fit, in sentences.
     covariance : (p, p) ndarray of the columns that :meth:`Crossing.kept` names, in the square of the values' unit.
     freedom : degrees of freedom of σ where the model is fixed, of the sensors' variance where it is mixed.
-    small : basis of the degrees of freedom; None where the model is fixed.
+    small : basis of the degrees of freedom; None where they are ``freedom``, whatever the contrast.
+    session_deviation : deviation of a group at a station from the sum of both effects; None where it is not fitted.
+    scatter : variances where groups scatter differently; None where they are taken as alike.
     """
 
     model: Model
@@ -63,9 +85,11 @@ class Fit:
     ratio: Interval | None
     criterion: float | None
     notes: tuple[str, ...]
-    small: SmallSample | None
+    small: ContrastFreedom | None
     covariance: Array
     freedom: float
+    session_deviation: float | None = None
+    scatter: Scatter | None = None
 
     def group_difference(self, first: str, second: str) -> Contrast:
         """Return first − second, adjusted for stations.

@@ -29,6 +29,10 @@ _ONE_BATCH: Final = "A difference of materials cannot be separated from one of b
 _RESTS_ON: Final = (
     "Differences of {noun}s rest on batches that ran at one station in both, compared with {reference}: {groups}"
 )
+_SESSIONS: Final = (
+    "These runs cannot tell a {noun} from its session at a station: what was particular then counts as the {noun}'s; "
+    "to tell them apart, run some sensors of {group} on {station} too"
+)
 _MIXED: Final = "Mixed {what}, which a difference of groups may come from: {shares}"
 _STILL_TO_COME: Final = "The clock of {station} was wrong: {runs} began on {day}, which is still to come"
 _SET_BACK: Final = (
@@ -53,6 +57,7 @@ def cautions(
         yield _LEFT_OUT.format(runs=plural(count, "run"), why=why)
     yield from _caution_groups(members, grouping, terms)
     yield from _name_common_batches(grouping, design)
+    yield from _caution_sessions(design)
     for mixed_kind, names in (
         ("recipes", [run.recipe for run in members]),
         ("software versions", [] if terms.by is By.SOFTWARE else software_words(members)),
@@ -92,6 +97,21 @@ def _name_common_batches(grouping: Grouping, design: Design) -> Iterator[str]:
         groups = list_names([f"{name} (batch {list_names(batches)})" for name, batches in shared.items() if batches])
         if groups:
             yield _RESTS_ON.format(noun=design.noun, reference=grouping.reference, groups=groups)
+
+
+def _caution_sessions(design: Design) -> Iterator[str]:
+    """Say which further run would show sessions, if the runs that count leave no departure from the model to see."""
+    made = design.crossing
+    sessions = set(zip(made.group.tolist(), made.station.tolist(), strict=True))
+    if design.levels or len(made.groups) < 2 or len(sessions) > int(made.independent_columns().sum()):
+        return
+    noun = str(By.BATCH) if design.of_stations else design.noun
+    for group, part in enumerate(made.group_parts.tolist()):
+        for station in range(len(made.stations)):
+            if made.station_parts[station] == part and (group, station) not in sessions:
+                yield _SESSIONS.format(noun=noun, group=made.groups[group], station=made.stations[station])
+                return
+    yield _SESSIONS.format(noun=noun, group=made.groups[0], station="a second station")
 
 
 def _from_the_future(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:

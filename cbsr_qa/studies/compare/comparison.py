@@ -16,7 +16,8 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.fleet import FleetTable, RunLine, RunSelection
-from cbsr_qa.stats.crossings import IntArray
+from cbsr_qa.report.tables import plural
+from cbsr_qa.stats.crossings import Crossing, IntArray
 from cbsr_qa.stats.difference import benjamini_hochberg, holm
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.compare.cautions import cautions
@@ -24,14 +25,13 @@ from cbsr_qa.studies.compare.describe import Distribution, Group, distribution, 
 from cbsr_qa.studies.compare.differences import (
     Difference,
     Estimated,
-    Fitted,
     StationDifference,
     compare_places,
     difference,
-    fit_model,
     stations_above,
 )
 from cbsr_qa.studies.compare.groups import Design, Grouping, choose_reference, design_of, group_runs
+from cbsr_qa.studies.compare.models import Fitted, fit_model, include_sessions
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, values_of
 from cbsr_qa.studies.selection import check_names, missing_metric_error
@@ -41,6 +41,10 @@ from cbsr_qa.studies.selection import check_names, missing_metric_error
 OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
 _ELSEWHERE: Final = "on other stations"
 _APART: Final = f"not compared with groups {_ELSEWHERE}"
+_LACK_OF_FIT: Final = (
+    "How far one {noun} is from another depends on the station, by more than their sensors explain: intervals of "
+    "{count} of {metrics} are wider, since they include how sessions of a {noun} at a station differ"
+)
 _SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
 
 # Cautions about one metric.
@@ -185,7 +189,11 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
     means = np.array([values.mean for values in all_values]).reshape(-1, len(table.runs))
     grouping, reference_notes = choose_reference(grouping, design, np.any(~np.isnan(means), axis=0), terms)
     deciding = grouping.deciding(table.runs, terms.policy)
-    unadjusted = [_compare_metric(values, table, grouping, deciding, design) for values in chosen_values]
+    models, station_models = _fit_models(chosen_values, design)
+    unadjusted = [
+        _compare_metric(values, model, station_model, table, grouping, deciding, design)
+        for values, model, station_model in zip(chosen_values, models, station_models, strict=True)
+    ]
     metrics = _adjust_p_values(unadjusted, terms)
     members = [run for run, is_used in zip(table.runs, grouping.used, strict=True) if is_used]
     differences = tuple(
@@ -205,7 +213,11 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         metrics=differences,
         stations=tuple(chain.from_iterable(metric.stations for metric in metrics)),
         distributions=tuple(chain.from_iterable(metric.distributions for metric in metrics)),
-        warnings=(*reference_notes, *cautions(members, grouping, design, terms, now)),
+        warnings=(
+            *reference_notes,
+            *_caution_sessions(models, design),
+            *cautions(members, grouping, design, terms, now),
+        ),
         terms=terms,
         of_metrics=tuple(metrics),
     )
@@ -226,15 +238,40 @@ def _choose_metrics(every: Sequence[MetricValues], terms: Terms) -> list[MetricV
     return [values for values in every if not terms.names or values.key.name in terms.names]
 
 
+def _fit_models(metrics: Sequence[MetricValues], design: Design) -> tuple[list[Fitted], list[Fitted]]:
+    """Fit the models of groups and of stations; sessions disturb metrics together, and are looked for in all."""
+
+    def fit_all(made: Crossing, *, of_stations: bool) -> list[Fitted]:
+        return include_sessions(
+            [
+                fit_model(made, metric.mean[design.rows], metric.key.label, of_stations=of_stations)
+                for metric in metrics
+            ]
+        )
+
+    models = fit_all(design.crossing, of_stations=design.of_stations)
+    if design.of_the_stations is design.crossing or not design.stations:
+        return models, models
+    return models, fit_all(design.of_the_stations, of_stations=True)
+
+
+def _caution_sessions(models: Sequence[Fitted], design: Design) -> Iterator[str]:
+    widened = sum(model.fit is not None and model.fit.session_deviation is not None for model in models)
+    if widened:
+        noun = str(By.BATCH) if design.of_stations else design.noun
+        yield _LACK_OF_FIT.format(noun=noun, count=widened, metrics=plural(len(models), "metric"))
+
+
 def _compare_metric(
-    metric: MetricValues, table: FleetTable, grouping: Grouping, deciding: Mapping[str, IntArray], design: Design
+    metric: MetricValues,
+    model: Fitted,
+    station_model: Fitted,
+    table: FleetTable,
+    grouping: Grouping,
+    deciding: Mapping[str, IntArray],
+    design: Design,
 ) -> MetricComparison:
     """Compare groups and stations in one metric by the deciding runs; p values are not adjusted yet."""
-    label = metric.key.label
-    model = fit_model(design.crossing, metric.mean[design.rows], label, of_stations=design.of_stations)
-    station_model = model
-    if design.of_the_stations is not design.crossing and design.stations:
-        station_model = fit_model(design.of_the_stations, metric.mean[design.rows], label, of_stations=True)
     is_station_metric = metric.key.name in OF_THE_STATION and not design.of_stations and len(design.stations) > 1
     indices_by_group = {name: indices[~np.isnan(metric.mean[indices])] for name, indices in deciding.items()}
     notes = _notes(model, metric, table, design, of_station=is_station_metric)

@@ -10,13 +10,14 @@ import numpy as np
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.fleet import FleetTable
-from cbsr_qa.stats.crossings import Crossing, IntArray
+from cbsr_qa.stats.crossings import IntArray
 from cbsr_qa.stats.difference import Contrast, hedges, holm, welch
-from cbsr_qa.stats.mixed_model.model import Fit, fit
 from cbsr_qa.stats.power_analysis import sensors_needed, sensors_to_show_alike
-from cbsr_qa.stats.robust import brunner_munzel, shift
+from cbsr_qa.stats.robust import brunner_munzel
 from cbsr_qa.stats.samples import Interval
+from cbsr_qa.stats.stratified import shift_within
 from cbsr_qa.studies.compare.groups import Design
+from cbsr_qa.studies.compare.models import Fitted, fit_model, include_sessions
 from cbsr_qa.studies.compare.terms import Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 
@@ -40,9 +41,9 @@ class Naive:
 
 @dataclass(frozen=True, slots=True)
 class Robust:
-    """Hodges and Lehmann's shift and Brunner and Munzel's test, adjusted for the model's station differences.
+    """Hodges and Lehmann's shift, from sensors of both groups at the same station, with van Elteren's test.
 
-    Interval and p are None if the sample is too small, or the groups do not overlap.
+    Where they share a single station, the test is Brunner and Munzel's. The interval is None for samples too small.
     """
 
     shift: float
@@ -128,45 +129,6 @@ class Difference(Estimated):
     places: tuple[PlaceDifference, ...] = ()
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class Fitted:
-    """The model of one metric, or the reason for none; ``of_stations``: its stations are the compared groups."""
-
-    fit: Fit | None
-    why: str
-    of_stations: bool
-
-    def difference(self, group: str, reference: str) -> Contrast:
-        """Return group − reference; NumericsError if the design cannot estimate it."""
-        if self.fit is None:
-            raise NumericsError(self.why)
-        estimate = self.fit.station_difference if self.of_stations else self.fit.group_difference
-        return estimate(group, reference)
-
-    def station_effect(self, station: str) -> float:
-        """Return the difference of a station from the first of its connected part."""
-        assert self.fit is not None
-        design = self.fit.design
-        if station not in design.stations:
-            return 0.0
-        return float(self.fit.effects[len(design.groups) + design.index("station", station)])
-
-
-def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
-    """Fit the model to the runs (N,) that have a value; NaN where missing."""
-    has_value = ~np.isnan(values)
-    if not has_value.any():
-        return Fitted(None, "nothing was measured", of_stations)
-    try:
-        return Fitted(
-            fit(design if has_value.all() else design.select_runs(has_value), values[has_value], what),
-            "",
-            of_stations,
-        )
-    except NumericsError as error:
-        return Fitted(None, _one_line(error), of_stations)
-
-
 _Estimate = TypeVar("_Estimate", Difference, StationDifference)
 
 
@@ -194,7 +156,6 @@ def difference(
     assert model.fit is not None
     estimated = _fill_contrast(refused, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
-    stations = [[design.sides[index] for index in known[name].tolist()] for name in names]
     detect, margin = (stated.get(metric.key.name) for stated in (terms.detect, terms.margins))
     equivalence_test = None if margin is None else contrast.equivalence(margin, level=terms.level)
     kind = str(model.fit.model)
@@ -210,7 +171,7 @@ def difference(
         sensors_to_show_alike=_count_sensors(sensors_to_show_alike, margin, deviation, terms),
         detect=detect,
         sensors_needed=_count_sensors(sensors_needed, detect, deviation, terms),
-        robust=_robust(model, names, values, (stations[0], stations[1]), terms),
+        robust=_robust(metric, known, names, design),
     )
 
 
@@ -238,37 +199,29 @@ def _naive(values: tuple[Array, Array], names: tuple[str, str], terms: Terms) ->
 
 
 def _robust(
-    model: Fitted,
-    names: tuple[str, str],
-    values: tuple[Array, Array],
-    stations: tuple[Sequence[str], Sequence[str]],
-    terms: Terms,
+    metric: MetricValues, known: Mapping[str, IntArray], names: tuple[str, str], design: Design
 ) -> Robust | None:
-    level: tuple[Array, Array] = values
-    if not model.of_stations:
-        effects = {name: model.station_effect(name) for name in {*stations[0], *stations[1]}}
-        level = (
-            _subtract_stations(values[0], stations[0], effects),
-            _subtract_stations(values[1], stations[1], effects),
+    """Compare the deciding runs of two groups within stations, or within batches where stations are the groups."""
+    made = design.crossing
+    levels = made.group if design.of_stations else made.station
+    level_of_run = [levels[np.searchsorted(design.rows, known[name])] for name in names]
+    strata = [
+        (
+            metric.mean[known[names[0]][level_of_run[0] == level]],
+            metric.mean[known[names[1]][level_of_run[1] == level]],
         )
+        for level in sorted({*level_of_run[0].tolist()} & {*level_of_run[1].tolist()})
+    ]
     try:
-        shift_estimate = shift(*level, confidence=terms.confidence, names=names)
+        shift = shift_within(strata, confidence=design.terms.confidence, names=names)
     except NumericsError:
         return None
+    if len(strata) > 1:
+        return Robust(shift.value, shift.interval, shift.p_value, f"van Elteren, {len(strata)} strata")
     try:
-        return Robust(
-            shift_estimate.value,
-            shift_estimate.interval,
-            brunner_munzel(*level, names=names).p_value,
-            "Brunner–Munzel",
-        )
+        return Robust(shift.value, shift.interval, brunner_munzel(*strata[0], names=names).p_value, "Brunner–Munzel")
     except NumericsError:  # groups that do not overlap, or of a single sensor
-        return Robust(shift_estimate.value, shift_estimate.interval, shift_estimate.p_value, "Mann–Whitney")
-
-
-def _subtract_stations(values: Array, stations: Sequence[str], effects: dict[str, float]) -> Array:
-    level: Array = values - np.array([effects[station] for station in stations])
-    return level
+        return Robust(shift.value, shift.interval, shift.p_value, "Mann–Whitney")
 
 
 def compare_places(
@@ -278,12 +231,13 @@ def compare_places(
     is_wanted = metric.limited or metric.key.name in design.terms.names
     if not pairs or not is_wanted or not 3 <= len(metric.at) <= _MOST_PLACES:
         return {}
-    models = {
-        location: fit_model(
+    by_location = [
+        fit_model(
             design.crossing, values[design.rows], f"{metric.key.label} at {location}", of_stations=design.of_stations
         )
         for location, values in metric.at.items()
-    }
+    ]
+    models = dict(zip(metric.at, include_sessions(by_location), strict=True))
     return {pair[0]: _places_of(models, pair, table, design.terms) for pair in pairs}
 
 

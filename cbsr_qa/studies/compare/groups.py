@@ -166,7 +166,6 @@ class Design:
     levels : level → its station and batch; empty if the crossing's levels are stations.
     of_the_stations : crossing for the comparison of stations: of batches and stations if there are levels, or
         materials of several batches are compared; else the crossing itself.
-    sides : (R,) other side of the crossing for every run: a level, or a station.
     """
 
     terms: Terms
@@ -175,7 +174,6 @@ class Design:
     stations: tuple[str, ...]
     levels: Mapping[str, tuple[str, str]]
     of_the_stations: Crossing
-    sides: tuple[str, ...]
 
     @property
     def noun(self) -> str:
@@ -238,10 +236,9 @@ def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Desi
     labels = [grouping.labels[row] for row in rows.tolist()]
     stations, serials = [run.station for run in members], [run.serial for run in members]
     batches = [run.batch or NO_BATCH for run in members]
-    station_of_run = tuple(run.station for run in runs)
     if terms.by is By.STATION:  # batches must not be mistaken for stations
         group_crossing = crossing(batches, stations, serials)
-        return Design(terms, group_crossing, rows, (), {}, group_crossing, station_of_run)
+        return Design(terms, group_crossing, rows, (), {}, group_crossing)
     if terms.by in _GROUPS and len(set(batches)) > 1:
         levels = {_level(run): (run.station, run.batch or NO_BATCH) for run in members}
         group_crossing = crossing(labels, [_level(run) for run in members], serials)
@@ -253,16 +250,13 @@ def design_of(runs: Sequence[RunLine], grouping: Grouping, terms: Terms) -> Desi
             _comparable_stations(station_crossing),
             levels,
             station_crossing,
-            tuple(_level(run) for run in runs),
         )
     group_crossing = crossing(labels, stations, serials)
     # Batches of a material differ, and stations have different ones.
     station_crossing = (
         crossing(batches, stations, serials) if terms.by is By.MATERIAL and len(set(batches)) > 1 else group_crossing
     )
-    return Design(
-        terms, group_crossing, rows, _comparable_stations(station_crossing), {}, station_crossing, station_of_run
-    )
+    return Design(terms, group_crossing, rows, _comparable_stations(station_crossing), {}, station_crossing)
 
 
 def _comparable_stations(made: Crossing) -> tuple[str, ...]:

@@ -26,7 +26,7 @@ from cbsr_qa.system.clock import VirtualClock
 
 
 def run(*arguments):
-    return CliRunner().invoke(app, list(map(str, arguments)))
+    return CliRunner().invoke(app, list(map(str, arguments)), standalone_mode=False)
 
 
 def refused(*arguments):
@@ -86,6 +86,8 @@ def test_what_scripts_read_is_printed(folder, pressed):
     assert printed["held_out"]["depth_mm"] is None
     assert 0 < printed["explained"] <= 1
     assert any("mirrored" in words for words in printed["warnings"])
+    assert printed["place_learned"] is True
+    assert printed["labels"] == {"suspected": None, "gain_mm": None}
 
 
 def test_the_page_draws_presses_that_were_left_out(folder):
@@ -411,6 +413,27 @@ def test_a_sheet_that_is_not_modelled_is_learned_from_its_presses_alone(folder, 
     printed = json.loads(calibrated(tmp_path, "--differences", sensor=folder / "T.toml", **files).stdout)
     assert not printed["registration"]["trusted"]
     assert any("not what the sensor type describes" in words for words in printed["warnings"])
+
+
+@pytest.mark.rest
+def test_places_one_row_below_their_readings_are_suspected_and_shifted_back_only_if_asked(folder, pressed, tmp_path):
+    header, *rows = (folder / "presses.csv").read_text().splitlines()
+    (tmp_path / "late.csv").write_text("\n".join([header, rows[-1], *rows[:-1]]) + "\n")
+    late = calibrated(folder, "--differences", to=tmp_path / "late.h5", presses=tmp_path / "late.csv")
+    assert late.return_value == 1
+    printed = json.loads(late.stdout)
+    assert printed["place_learned"] is False
+    assert "places stand 1 row below their readings (--row-shift 1)" in printed["labels"]["suspected"]
+    assert printed["labels"]["gain_mm"] > 10
+    assert printed["labels"]["suspected"] == printed["warnings"][0]
+    files = {"presses": tmp_path / "late.csv"}
+    shifted = calibrated(folder, "--differences", "--row-shift", "1", to=tmp_path / "shifted.h5", **files)
+    assert shifted.return_value == 0
+    assert (json.loads(shifted.stdout)["used"], json.loads(shifted.stdout)["labels"]["suspected"]) == (59, None)
+    assert "a shift by 60 rows leaves none" in refused(
+        "calibrate", folder / "readings.csv", "--presses", tmp_path / "late.csv", "--pattern", folder / "pairs.csv",
+        "--sensor-type", folder / "T.toml", "--to", tmp_path / "x.h5", "--differences", "--row-shift", "60",
+    )  # fmt: skip
 
 
 @pytest.mark.rest

@@ -11,7 +11,7 @@ from cbsr_qa.calibration.force.faults import FrameFaults
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
-from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.calibration.presses.learning import learn_presses
 
 _SIMULATED = (
     pytest.param({"noise": 0.01}, id="clean"),

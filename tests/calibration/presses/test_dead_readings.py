@@ -11,7 +11,7 @@ from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.calibration.place.quantity import QuantityEstimator
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
-from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.calibration.presses.learning import learn_presses
 
 
 def without_contact(pressed, electrode, *, common, noise=20.0):

@@ -7,7 +7,7 @@ import pytest
 from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
 
 from cbsr_qa.calibration.place.pairs import DistinctPairs, match_readings
-from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.calibration.presses.learning import learn_presses
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
     list_ignored_columns,

@@ -15,7 +15,7 @@ from cbsr_qa.calibration.file.hdf5 import (
     verify_calibration_file,
     write_calibration,
 )
-from cbsr_qa.calibration.presses.issue import noise_size
+from cbsr_qa.calibration.presses.learning import noise_size
 from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 
 

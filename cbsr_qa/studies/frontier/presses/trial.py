@@ -9,7 +9,7 @@ import numpy as np
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.calibration.presses.inputs import LabelledPresses
-from cbsr_qa.calibration.presses.issue import learn_presses
+from cbsr_qa.calibration.presses.learning import learn_presses
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: Frames located one by one to measure the time.

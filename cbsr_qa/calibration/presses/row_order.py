@@ -1,0 +1,103 @@
+"""Rows out of step: whether labels in another order of rows fit the readings better.
+
+Readings and labels belong together by their rows. If a row is lost in one table, or one is sorted, every press gets
+the place of another, and the sheet cannot be learned. The place of each press is predicted from the others by
+regression on the likeness of their readings (Gaussian process, leave-one-out residuals [K⁻¹y]_i/[K⁻¹]_ii; Rasmussen &
+Williams 2006, section 5.4.2). The kernel knows the readings alone, so that one inverse serves every order of labels.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from typing import Final
+
+import numpy as np
+
+from cbsr_qa.domain.numbers import Array, Indices
+
+#: Row shifts that are tried.
+_SHIFTS: Final = (1, -1, 2, -2, 3, -3)
+#: Width of the kernel in 1 − cos of the angle between readings, and variance of noise, relative to the places'.
+_WIDTHS: Final = (0.03, 0.1, 0.3)
+_NOISES: Final = (0.01, 0.1)
+#: Largest number of presses of each end of the session that are used.
+_MAX_PRESSES: Final = 250
+#: Share of the error, as labelled and of guessing, that an order of rows must leave at most to be named.
+_HELPS: Final = 0.75
+#: Fewest presses on either side of a lost row.
+_MARGIN: Final = 3
+
+
+@dataclass(frozen=True, slots=True)
+class RowOrder:
+    """An order of the labels' rows that fits the readings better.
+
+    Parameters
+    ----------
+    words : what seems to have happened, and what to do.
+    gain_mm : by how much less the place of a press is missed, predicted from the others.
+    """
+
+    words: str
+    gain_mm: float
+
+
+def guess_error(place_mm: Array) -> float:
+    """Mean distance [mm] of places (n, 2) from their median: the error of guessing."""
+    return float(np.linalg.norm(place_mm - np.median(place_mm, axis=0), axis=1).mean())
+
+
+def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
+    """Find an order of rows in which readings (n, m) and places (n, 2) fit clearly better; None without one.
+
+    Tried are shifts by one to three rows, a row that one of the tables lacks, anywhere, and the reverse order.
+    """
+    rows = np.arange(len(changes))
+    if len(rows) > 2 * _MAX_PRESSES:
+        rows = np.concatenate([rows[:_MAX_PRESSES], rows[-_MAX_PRESSES:]])
+    inverses = [*_kernel_inverses(changes[rows])]
+
+    def miss(order: Indices) -> float:
+        places = place_mm[order[rows] % len(place_mm)]
+        centred = places - places.mean(axis=0)
+        return min(
+            float(np.linalg.norm((inverse @ centred) / np.diagonal(inverse)[:, None], axis=1).mean())
+            for inverse in inverses
+        )
+
+    present = miss(np.arange(len(changes)))
+    words, best = min(
+        ((words, miss(order)) for words, order in _orders(len(changes), rows)), key=lambda candidate: candidate[1]
+    )
+    if best > _HELPS * min(present, guess_error(place_mm)):
+        return None
+    return RowOrder(
+        f"readings and places seem to be out of step: {words}; a press is then missed by {best:.3g} mm instead of"
+        f" {present:.3g} mm",
+        present - best,
+    )
+
+
+def _kernel_inverses(changes: Array) -> Iterator[Array]:
+    """Yield K⁻¹ (n, n) of readings (n, m), of several widths and levels of noise."""
+    sizes = np.linalg.norm(changes, axis=1, keepdims=True)
+    directions = changes / np.where(sizes > 0, sizes, 1.0)
+    apart = np.maximum(1.0 - directions @ directions.T, 0.0)
+    for width in _WIDTHS:
+        for noise in _NOISES:
+            kernel = np.exp(-apart / width) + noise * np.eye(len(changes))
+            yield np.asarray(np.linalg.inv(kernel), dtype=np.float64)
+
+
+def _orders(count: int, rows: Indices) -> Iterator[tuple[str, Indices]]:
+    """Yield orders of the labels' rows with what they mean; the row of each press's label, modulo their number."""
+    numbers = np.arange(count)
+    for shift in _SHIFTS:
+        side = "below" if shift > 0 else "above"
+        rows_text = "row" if abs(shift) == 1 else "rows"
+        yield f"places stand {abs(shift)} {rows_text} {side} their readings (--row-shift {shift})", numbers + shift
+    yield "one of the tables is in the reverse order", numbers[::-1]
+    for before, row in zip(rows[_MARGIN - 1 :].tolist(), rows[_MARGIN:-_MARGIN].tolist(), strict=False):
+        late = numbers >= row
+        which = f"about row {row + 1}" if row == before + 1 else f"a row from {before + 2} to {row + 1}"
+        yield f"the place of {which} is missing, and those below stand one row too high", numbers - late
+        yield f"the readings of {which} are missing, and those below stand one row too high", numbers + late

@@ -1,0 +1,48 @@
+"""Runs that a sensor has at one station, where sensors respond to stations differently.
+
+The model knows a variance between sensors and one between runs. If a sensor reads differently at another station
+than in another run at the same one (sensor and station interact), two runs at one station tell less about stations
+than the model takes them for. Then the mean of a sensor's runs at a station takes their place: with equal numbers
+of runs the restricted likelihood is that of the model with the interaction.
+"""
+
+import numpy as np
+from scipy import stats
+
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.stats.crossings import Crossing, IntArray
+from cbsr_qa.stats.mixed_model.reml import random_effect_sums
+
+#: Level of the test.
+LEVEL = 0.05
+
+
+def average_repeats(design: Crossing, values: Array) -> tuple[Crossing, Array] | None:
+    """Return the design and values (M,) of means of a sensor at a station; None where runs may count one by one.
+
+    Parameters
+    ----------
+    values : (N,), without missing ones.
+    """
+    first_runs, visit, counts = _visits(design)
+    visits = len(first_runs)
+    if visits == len(values) or visits == len(design.sensors):
+        return None
+    means = np.bincount(visit, values) / counts
+    run_squares = float(np.sum((values - means[visit]) ** 2))
+    sums = random_effect_sums(design.columns(), values, design.sensor)
+    run_freedom = len(values) - visits
+    visit_freedom = visits - len(design.sensors) - sums.within_rank()
+    if visit_freedom < 1:
+        return None
+    visit_squares = max(sums.within_rest() - run_squares, 0.0)
+    if run_squares * stats.f.isf(LEVEL, visit_freedom, run_freedom) >= visit_squares / visit_freedom * run_freedom:
+        return None
+    return design.select_runs(first_runs), means
+
+
+def _visits(design: Crossing) -> tuple[IntArray, IntArray, IntArray]:
+    """Number sensors at stations, in groups: the first run of each, the number of each run's (N,), and their runs."""
+    keys = (design.group * len(design.stations) + design.station) * len(design.sensors) + design.sensor
+    _, first, visit, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
+    return first.astype(np.intp), visit.astype(np.intp), counts.astype(np.intp)

@@ -1,0 +1,343 @@
+"""Sessions: whether groups differ from each other in the same way on every station.
+
+    y = group (fixed) + station (fixed) + session (random, σ²ρ) + sensor (random, σ²θ) + run (σ²)
+
+A session is a group at a station. With U (N × c) the sessions of the runs, H = V/σ² without sessions and X = UC the
+columns of groups and stations, the means of sessions β = A⁻¹UᵀH⁻¹y, A = UᵀH⁻¹U, are sufficient, and
+
+    β = Cγ + error,   cov(error) = σ²(A⁻¹ + ρI).
+
+**Lack of fit.** F = S/(d σ̂²) with S = (β − Cγ)ᵀA(β − Cγ), d = c − p, and σ̂² from runs within sessions. Sessions
+raise it to 1 + ρk, k = tr(A − AC(CᵀAC)⁻¹CᵀA)/d. Two batches on three stations leave d = 2, which seldom shows
+anything. But what disturbs a session disturbs most metrics, so all metrics of a comparison are tested together,
+with the degrees of freedom of as many independent metrics as their correlations leave.
+
+**If it is shown**, each metric's F is moderated (Smyth 2004): the scatter of log F over metrics beyond what F alone
+gives tells how much their ratios differ, and d₀ degrees of freedom of a common ratio are added to the d of each. A
+metric whose own F alone shows lack of fit keeps its own.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from math import inf, log, sqrt
+
+import numpy as np
+from scipy import linalg, optimize, sparse, special, stats
+
+from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
+from cbsr_qa.stats.crossings import Crossing, IntArray, SparseArray
+from cbsr_qa.stats.mixed_model.model import ContrastFreedom, Fit, Model, Scatter
+from cbsr_qa.stats.mixed_model.reml import random_effect_sums, small_sample, variance_ratio
+from cbsr_qa.stats.mixed_model.scatter import scatter_products
+from cbsr_qa.stats.samples import LEAST_SPREAD
+
+#: Level of the test of lack of fit.
+LEVEL = 0.05
+_LEAST_F = 1e-8
+#: Above this number of degrees of freedom an F has a mean.
+_LEAST_FREEDOM = 2.0
+_MOST_FREEDOM = 1e6
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionMeans:
+    """Means of the sessions of one metric.
+
+    Parameters
+    ----------
+    means : (c,) β of the residuals of the additive fit, in the metric's unit.
+    covariance : (c, c) of the means without sessions, A⁻¹, over σ²; Kenward and Roger's where sensors are random.
+    variance : σ̂², from runs within sessions.
+    small : basis of the degrees of freedom; None where they are ``run_freedom``, whatever the contrast.
+    run_freedom : runs less sessions.
+    sensors, residuals : (q,) names, and means of a sensor's residuals within sessions over their root mean square.
+    columns : (c, p) C.
+    """
+
+    means: Array
+    covariance: Array
+    variance: float
+    small: ContrastFreedom | None
+    run_freedom: float
+    sensors: tuple[str, ...]
+    residuals: Array = field(default_factory=lambda: np.zeros(0))
+    columns: Array = field(default_factory=lambda: np.zeros((0, 0)))
+
+    def freedom(self, contrast: Array) -> float:
+        """Return the degrees of freedom of the variance of a contrast of means (c,)."""
+        return self.run_freedom if self.small is None else self.small.freedom(contrast)
+
+    def departure(self) -> "Departure":
+        """Return how far the means are from the additive model."""
+        contrasts = linalg.null_space(self.columns.T)
+        variances, axes = np.linalg.eigh(contrasts.T @ self.covariance @ contrasts)
+        directions = contrasts @ axes
+        statistic = float(np.mean((directions.T @ self.means) ** 2 / variances)) / self.variance
+        freedoms = np.array([self.freedom(direction) for direction in directions.T])
+        return Departure(
+            statistic=statistic,
+            freedom=len(variances),
+            run_freedom=_denominator_freedom(freedoms),
+            gain=float(np.mean(1 / variances)),
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class Departure:
+    """F of the departure of sessions from the additive model.
+
+    Parameters
+    ----------
+    freedom, run_freedom : degrees of freedom d of the numerator, and of the denominator.
+    gain : k, the rise of F with ρ.
+    """
+
+    statistic: float
+    freedom: int
+    run_freedom: float
+    gain: float
+
+
+def _denominator_freedom(freedoms: Array) -> float:
+    """Return the degrees of freedom of an F of independent contrasts, of theirs (d,) (Fai & Cornelius 1996)."""
+    least = float(freedoms.min())
+    if least <= _LEAST_FREEDOM or float(np.ptp(freedoms)) <= 1e-9 * least:
+        return least
+    expected = float(np.sum(freedoms / (freedoms - 2)))
+    return 2 * expected / (expected - len(freedoms))
+
+
+@dataclass(frozen=True, slots=True)
+class SessionRatio:
+    """1 + ρk of one metric and its degrees of freedom."""
+
+    value: float
+    freedom: float
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class SessionVariance:
+    """Basis of the degrees of freedom of contrasts where sessions are random; see :func:`add_sessions`.
+
+    Parameters
+    ----------
+    covariance : (p, p) Φ/σ².
+    slope : (p, p) derivative of the covariance by ρ, over σ².
+    share : ρ + 1/k, by which relative errors of the session ratio act.
+    reach : (p, c) effects by the means of sessions.
+    means : what they are reached from, and the degrees of freedom of σ².
+    session_freedom : degrees of freedom of 1 + ρk.
+    scatter : basis of those of σ² where groups scatter differently; else None.
+    """
+
+    covariance: Array
+    slope: Array
+    share: float
+    reach: Array
+    means: SessionMeans
+    session_freedom: float
+    scatter: ContrastFreedom | None
+
+    def freedom(self, contrast: Array) -> float:
+        """Return Satterthwaite's degrees of freedom of one contrast (p,)."""
+        run_freedom = min(
+            self.means.freedom(contrast @ self.reach), self.scatter.freedom(contrast) if self.scatter else inf
+        )
+        part = float(contrast @ self.slope @ contrast) * self.share / float(contrast @ self.covariance @ contrast)
+        return 1 / (1 / run_freedom + part**2 / self.session_freedom)
+
+
+def fit_session_means(additive: Fit, values: Array) -> SessionMeans | None:
+    """Fit the means of sessions; None without a departure to see, or if too few sensors differ within sessions.
+
+    Parameters
+    ----------
+    values : (N,) of the runs of ``additive.design``.
+    """
+    design = additive.design
+    first_runs, session = _sessions(design)
+    columns = np.asarray(design.columns()[first_runs].toarray(), dtype=np.float64)
+    if len(first_runs) == columns.shape[1] or len(design.sensors) <= len(first_runs):
+        return None
+    residuals = values - design.columns() @ additive.effects[design.independent_columns()]
+    scale = float(np.abs(residuals).max())
+    members = sparse.coo_array((np.ones(len(session)), (np.arange(len(session)), session))).tocsr()
+    if additive.scatter is None:
+        estimated = _estimate_means(additive, members, residuals / scale)
+    else:
+        estimated = _estimate_scattered_means(additive.scatter.scale(1 / scale), design, members, residuals / scale)
+    if estimated is None:
+        return None
+    within = (residuals - (np.bincount(session, residuals) / np.bincount(session))[session]) / scale
+    if additive.scatter is not None:
+        variances = additive.scatter.run_variance + additive.scatter.sensor_variances
+        within /= np.sqrt(variances / variances.max())[design.group]
+    of_sensors = np.bincount(design.sensor, within) / np.bincount(design.sensor)
+    return replace(
+        estimated,
+        columns=columns,
+        means=scale * estimated.means,
+        variance=scale**2 * estimated.variance,
+        residuals=of_sensors / sqrt(float(np.mean(of_sensors**2))),
+    )
+
+
+def _estimate_means(additive: Fit, members: SparseArray, response: Array) -> SessionMeans | None:
+    """Return the means of a response (N,) by restricted likelihood, if sensors scatter alike in all groups."""
+    design, is_mixed = additive.design, additive.model is Model.MIXED
+    sums = random_effect_sums(members, response, design.sensor)
+    try:
+        ratio = variance_ratio(sums).value if is_mixed else 0.0
+    except NumericsError:
+        return None
+    products = sums.within + sums.products(ratio)
+    means = np.asarray(np.linalg.solve(products[:-1, :-1], products[:-1, -1]), dtype=np.float64)
+    variance = float(products[-1, -1] - products[:-1, -1] @ means) / (sums.runs - sums.columns)
+    if variance <= LEAST_SPREAD**2:
+        return None
+    small = small_sample(sums, ratio) if is_mixed else None
+    covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64) if small is None else small.adjusted
+    return SessionMeans(means, covariance, variance, small, float(sums.runs - sums.columns), design.sensors)
+
+
+def _estimate_scattered_means(
+    scatter: Scatter, design: Crossing, members: SparseArray, response: Array
+) -> SessionMeans:
+    """Return the means of a response (N,) where each group has its own scatter; their covariance counts σ² as 1."""
+    products = scatter_products(design, members, response, scatter).sum(axis=0)
+    covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64)
+    freedom = float(len(design.sensors) - members.shape[1])
+    return SessionMeans(covariance @ products[:-1, -1], covariance, 1.0, None, freedom, design.sensors)
+
+
+def _sessions(design: Crossing) -> tuple[IntArray, IntArray]:
+    """First run of each session, and the session of each run (N,)."""
+    keys = design.group * len(design.stations) + design.station
+    _, first, session = np.unique(keys, return_index=True, return_inverse=True)
+    return first.astype(np.intp), session.astype(np.intp)
+
+
+@dataclass(frozen=True, slots=True)
+class LackOfFit:
+    """Test of the additive model by all metrics together.
+
+    Parameters
+    ----------
+    p_value : probability of such departures without sessions, of all metrics together or of one alone (Bonferroni).
+    ratios : 1 + ρk of each metric, in their order; empty where lack of fit is not shown.
+    """
+
+    p_value: float
+    ratios: tuple[SessionRatio, ...]
+
+    @property
+    def shown(self) -> bool:
+        """Whether sessions have to be in the model."""
+        return self.p_value < LEVEL
+
+
+def lack_of_fit(found: Sequence[Departure], correlations: Array) -> LackOfFit:
+    """Test the additive model on all metrics, and moderate the ratios of sessions.
+
+    Parameters
+    ----------
+    found : departures of at least one metric.
+    correlations : (K, K) of the metrics' values within sessions.
+    """
+    departures = np.maximum([departure.statistic for departure in found], _LEAST_F)
+    freedoms = np.array([departure.freedom for departure in found], dtype=float)
+    error_freedoms = np.array([departure.run_freedom for departure in found])
+    own_p_values = np.asarray(stats.f.sf(departures, freedoms, error_freedoms), dtype=np.float64)
+    independent = len(found) ** 2 / float(np.sum(correlations**2))
+    mean = float(freedoms @ departures / freedoms.sum())
+    joint_freedom = independent * float(freedoms.mean())
+    joint_p_value = float(stats.f.sf(mean, joint_freedom, independent * float(error_freedoms.mean())))
+    p_value = min(1.0, 2 * min(joint_p_value, len(found) * float(own_p_values.min())))
+    if p_value >= LEVEL:
+        return LackOfFit(p_value, ())
+    prior, prior_freedom = _common_ratio(departures, freedoms, error_freedoms)
+    moderated = (prior_freedom * prior + freedoms * departures) / (prior_freedom + freedoms)
+    moderated_freedoms = np.minimum(prior_freedom + freedoms, joint_freedom)
+    is_apart = len(found) * own_p_values < LEVEL
+    is_apart &= departures > moderated
+    ratios = np.where(is_apart, departures, moderated)
+    ratio_freedoms = np.where(is_apart, freedoms, moderated_freedoms)
+    return LackOfFit(
+        p_value,
+        tuple(
+            SessionRatio(max(float(ratio), 1.0), float(freedom))
+            for ratio, freedom in zip(ratios, ratio_freedoms, strict=True)
+        ),
+    )
+
+
+def correlate(metrics: Sequence[SessionMeans]) -> Array:
+    """Return the correlations (K, K) of metrics between sensors of a session; those without a value count as zero."""
+    names = dict.fromkeys(name for metric in metrics for name in metric.sensors)
+    places = {name: index for index, name in enumerate(names)}
+    residuals = np.zeros((len(metrics), len(places)))
+    for row, metric in zip(residuals, metrics, strict=True):
+        row[[places[name] for name in metric.sensors]] = metric.residuals
+    products = residuals @ residuals.T
+    scales = np.sqrt(np.diagonal(products))
+    correlations: Array = products / np.multiply.outer(scales, scales)
+    return correlations
+
+
+def _common_ratio(departures: Array, freedoms: Array, error_freedoms: Array) -> tuple[float, float]:
+    """Return the common ratio of the metrics and its degrees of freedom d₀ (Smyth 2004, section 6.2)."""
+    if len(departures) < 2:
+        return 1.0, 0.0
+    logs = np.log(departures) - _mean_log(freedoms) + _mean_log(error_freedoms)
+    excess = float(np.var(logs, ddof=1)) - float(
+        np.mean(special.polygamma(1, freedoms / 2) + special.polygamma(1, error_freedoms / 2))
+    )
+    if excess <= 0:
+        return float(freedoms @ departures / freedoms.sum()), _MOST_FREEDOM
+
+    def miss(log_half: float) -> float:
+        return float(special.polygamma(1, np.exp(log_half))) - excess
+
+    half = (
+        float(np.exp(optimize.brentq(miss, -20.0, log(_MOST_FREEDOM / 2))))
+        if miss(log(_MOST_FREEDOM / 2)) < 0
+        else inf
+    )
+    freedom = min(2 * half, _MOST_FREEDOM)
+    return float(np.exp(np.mean(logs) + _mean_log(np.array([freedom]))[0])), freedom
+
+
+def _mean_log(freedoms: Array) -> Array:
+    """Return the expected logarithm of χ²_f/f."""
+    logs: Array = special.digamma(freedoms / 2) - np.log(freedoms / 2)
+    return logs
+
+
+def add_sessions(additive: Fit, sessions: SessionMeans, ratio: SessionRatio) -> Fit:
+    """Return the fit with sessions as random effect, of the variance that the ratio gives."""
+    gain = sessions.departure().gain
+    rho = (ratio.value - 1) / gain
+    weights = np.linalg.inv(sessions.covariance + rho * np.eye(len(sessions.means)))
+    weighted = sessions.columns.T @ weights
+    covariance = np.asarray(np.linalg.inv(weighted @ sessions.columns), dtype=np.float64)
+    reach = covariance @ weighted
+    effects = additive.effects.copy()
+    effects[additive.design.independent_columns()] += reach @ sessions.means
+    spread = sqrt(rho * sessions.variance)
+    return replace(
+        additive,
+        model=Model.SESSIONS,
+        effects=effects,
+        covariance=sessions.variance * covariance,
+        small=SessionVariance(
+            covariance=covariance,
+            slope=reach @ reach.T,
+            share=rho + 1 / gain,
+            reach=reach,
+            means=sessions,
+            session_freedom=ratio.freedom,
+            scatter=None if additive.scatter is None else additive.small,
+        ),
+        session_deviation=spread,
+    )
