@@ -10,7 +10,7 @@ import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.crossings import Crossing, IntArray
+from cbsr_qa.stats.crossings import Crossing
 from cbsr_qa.stats.mixed_model.reml import random_effect_sums
 
 #: Level of the test.
@@ -24,7 +24,9 @@ def average_repeats(design: Crossing, values: Array) -> tuple[Crossing, Array] |
     ----------
     values : (N,), without missing ones.
     """
-    first_runs, visit, counts = _visits(design)
+    # A visit: the runs of a sensor at a station, in a group.
+    keys = (design.group * len(design.stations) + design.station) * len(design.sensors) + design.sensor
+    _, first_runs, visit, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
     visits = len(first_runs)
     if visits == len(values) or visits == len(design.sensors):
         return None
@@ -38,11 +40,4 @@ def average_repeats(design: Crossing, values: Array) -> tuple[Crossing, Array] |
     visit_squares = max(sums.within_rest() - run_squares, 0.0)
     if run_squares * stats.f.isf(LEVEL, visit_freedom, run_freedom) >= visit_squares / visit_freedom * run_freedom:
         return None
-    return design.select_runs(first_runs), means
-
-
-def _visits(design: Crossing) -> tuple[IntArray, IntArray, IntArray]:
-    """Number sensors at stations, in groups: the first run of each, the number of each run's (N,), and their runs."""
-    keys = (design.group * len(design.stations) + design.station) * len(design.sensors) + design.sensor
-    _, first, visit, counts = np.unique(keys, return_index=True, return_inverse=True, return_counts=True)
-    return first.astype(np.intp), visit.astype(np.intp), counts.astype(np.intp)
+    return design.select_runs(first_runs.astype(np.intp)), means

@@ -26,7 +26,7 @@ from scipy import linalg, optimize, sparse, special, stats
 
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.crossings import Crossing, IntArray, SparseArray
+from cbsr_qa.stats.crossings import Crossing, SparseArray
 from cbsr_qa.stats.mixed_model.model import ContrastFreedom, Fit, Model, Scatter
 from cbsr_qa.stats.mixed_model.reml import random_effect_sums, small_sample, variance_ratio
 from cbsr_qa.stats.mixed_model.scatter import scatter_products
@@ -156,8 +156,9 @@ def fit_session_means(additive: Fit, values: Array) -> SessionMeans | None:
     values : (N,) of the runs of ``additive.design``.
     """
     design = additive.design
-    first_runs, session = _sessions(design)
-    columns = np.asarray(design.columns()[first_runs].toarray(), dtype=np.float64)
+    keys = design.group * len(design.stations) + design.station
+    _, first_runs, session = np.unique(keys, return_index=True, return_inverse=True)
+    columns = np.asarray(design.columns()[first_runs.astype(np.intp)].toarray(), dtype=np.float64)
     if len(first_runs) == columns.shape[1] or len(design.sensors) <= len(first_runs):
         return None
     residuals = values - design.columns() @ additive.effects[design.independent_columns()]
@@ -209,13 +210,6 @@ def _estimate_scattered_means(
     covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64)
     freedom = float(len(design.sensors) - members.shape[1])
     return SessionMeans(covariance @ products[:-1, -1], covariance, 1.0, None, freedom, design.sensors)
-
-
-def _sessions(design: Crossing) -> tuple[IntArray, IntArray]:
-    """First run of each session, and the session of each run (N,)."""
-    keys = design.group * len(design.stations) + design.station
-    _, first, session = np.unique(keys, return_index=True, return_inverse=True)
-    return first.astype(np.intp), session.astype(np.intp)
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from cbsr_qa.domain.numbers import prefix_kind
 from cbsr_qa.domain.results.fleet import RunLine
 from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.studies.compare.groups import NO_BATCH, Design, Grouping
+from cbsr_qa.studies.compare.models import Fitted
 from cbsr_qa.studies.compare.terms import By, Terms
 from cbsr_qa.studies.selection import software_words
 
@@ -33,6 +34,10 @@ _SESSIONS: Final = (
     "These runs cannot tell a {noun} from its session at a station: what was particular then counts as the {noun}'s; "
     "to tell them apart, run some sensors of {group} on {station} too"
 )
+_LACK_OF_FIT: Final = (
+    "How far one {noun} is from another depends on the station, by more than their sensors explain: intervals of "
+    "{count} of {metrics} are wider, since they include how sessions of a {noun} at a station differ"
+)
 _MIXED: Final = "Mixed {what}, which a difference of groups may come from: {shares}"
 _STILL_TO_COME: Final = "The clock of {station} was wrong: {runs} began on {day}, which is still to come"
 _SET_BACK: Final = (
@@ -50,14 +55,19 @@ _PERIODS: Final = "Periods are taken from these clocks: compare by batch, or lea
 
 
 def cautions(
-    members: Sequence[RunLine], grouping: Grouping, design: Design, terms: Terms, now: datetime
+    members: Sequence[RunLine],
+    grouping: Grouping,
+    design: Design,
+    models: Sequence[Fitted],
+    terms: Terms,
+    now: datetime,
 ) -> Iterator[str]:
-    """Return cautions about the runs that count, in order of time."""
+    """Return cautions about the runs that count, in order of time, and about the models of all metrics."""
     for why, count in sorted(grouping.left_out.items()):
         yield _LEFT_OUT.format(runs=plural(count, "run"), why=why)
     yield from _caution_groups(members, grouping, terms)
     yield from _name_common_batches(grouping, design)
-    yield from _caution_sessions(design)
+    yield from _caution_sessions(design, models)
     for mixed_kind, names in (
         ("recipes", [run.recipe for run in members]),
         ("software versions", [] if terms.by is By.SOFTWARE else software_words(members)),
@@ -99,13 +109,15 @@ def _name_common_batches(grouping: Grouping, design: Design) -> Iterator[str]:
             yield _RESTS_ON.format(noun=design.noun, reference=grouping.reference, groups=groups)
 
 
-def _caution_sessions(design: Design) -> Iterator[str]:
-    """Say which further run would show sessions, if the runs that count leave no departure from the model to see."""
-    made = design.crossing
+def _caution_sessions(design: Design, models: Sequence[Fitted]) -> Iterator[str]:
+    """Say that sessions widen intervals, or, if the runs that count cannot show sessions, which further run would."""
+    made, noun = design.crossing, str(By.BATCH) if design.of_stations else design.noun
+    widened = sum(model.fit is not None and model.fit.session_deviation is not None for model in models)
+    if widened:
+        yield _LACK_OF_FIT.format(noun=noun, count=widened, metrics=plural(len(models), "metric"))
     sessions = set(zip(made.group.tolist(), made.station.tolist(), strict=True))
     if design.levels or len(made.groups) < 2 or len(sessions) > int(made.independent_columns().sum()):
         return
-    noun = str(By.BATCH) if design.of_stations else design.noun
     for group, part in enumerate(made.group_parts.tolist()):
         for station in range(len(made.stations)):
             if made.station_parts[station] == part and (group, station) not in sessions:

@@ -16,7 +16,6 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.fleet import FleetTable, RunLine, RunSelection
-from cbsr_qa.report.tables import plural
 from cbsr_qa.stats.crossings import Crossing, IntArray
 from cbsr_qa.stats.difference import benjamini_hochberg, holm
 from cbsr_qa.store.opening import open_store
@@ -41,10 +40,6 @@ from cbsr_qa.studies.selection import check_names, missing_metric_error
 OF_THE_STATION: Final = ("registration_shift", "registration_rotation", "registration_scale")
 _ELSEWHERE: Final = "on other stations"
 _APART: Final = f"not compared with groups {_ELSEWHERE}"
-_LACK_OF_FIT: Final = (
-    "How far one {noun} is from another depends on the station, by more than their sensors explain: intervals of "
-    "{count} of {metrics} are wider, since they include how sessions of a {noun} at a station differ"
-)
 _SHARES_PLACES: Final = {"centre_of_mass_error": "registered_centre_of_mass_error"}
 
 # Cautions about one metric.
@@ -213,11 +208,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         metrics=differences,
         stations=tuple(chain.from_iterable(metric.stations for metric in metrics)),
         distributions=tuple(chain.from_iterable(metric.distributions for metric in metrics)),
-        warnings=(
-            *reference_notes,
-            *_caution_sessions(models, design),
-            *cautions(members, grouping, design, terms, now),
-        ),
+        warnings=(*reference_notes, *cautions(members, grouping, design, models, terms, now)),
         terms=terms,
         of_metrics=tuple(metrics),
     )
@@ -253,13 +244,6 @@ def _fit_models(metrics: Sequence[MetricValues], design: Design) -> tuple[list[F
     if design.of_the_stations is design.crossing or not design.stations:
         return models, models
     return models, fit_all(design.of_the_stations, of_stations=True)
-
-
-def _caution_sessions(models: Sequence[Fitted], design: Design) -> Iterator[str]:
-    widened = sum(model.fit is not None and model.fit.session_deviation is not None for model in models)
-    if widened:
-        noun = str(By.BATCH) if design.of_stations else design.noun
-        yield _LACK_OF_FIT.format(noun=noun, count=widened, metrics=plural(len(models), "metric"))
 
 
 def _compare_metric(
