@@ -81,10 +81,14 @@ def nominal_disc(layout: Electrodes | None, electrode_count: int) -> SensorType:
     )
 
 
+def problem_for(sensor_type: SensorType, used: Mask) -> ImagingProblem:
+    """Prepare the unit model of the used readings; NumericsError if too few are left."""
+    return imaging_problem(sensor_type, used=used, image_size_mm=_IMAGE_SIZE * sensor_type.radius_mm)
+
+
 def sheet_for(sensor_type: SensorType, used: Mask) -> Sheet:
     """Prepare the patterns of the used readings; NumericsError if too few are left."""
-    size_mm = _IMAGE_SIZE * sensor_type.radius_mm
-    problem = imaging_problem(sensor_type, used=used, image_size_mm=size_mm)
+    problem = problem_for(sensor_type, used)
     inner, bumps = _bumps(sensor_type)
     patterns: Array = problem.jacobian @ bumps
     return Sheet(problem, problem.mesh.centroids_mm[inner] / sensor_type.radius_mm, patterns)

@@ -12,7 +12,15 @@ from cbsr_qa.analysis.defects.rectifying import answering_levels
 from cbsr_qa.analysis.recording.changes import nearest_step
 from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, find_initial_loads, search
 from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
-from cbsr_qa.analysis.recording.imaging import Sheet, UnitModel, plain_model, sheet_for, unit_model, usable_volts
+from cbsr_qa.analysis.recording.imaging import (
+    Sheet,
+    UnitModel,
+    plain_model,
+    problem_for,
+    sheet_for,
+    unit_model,
+    usable_volts,
+)
 from cbsr_qa.analysis.recording.places import Matcher, Place, fit_loads, matcher, robust_directions
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fit_tank, reciprocal_noise
@@ -86,7 +94,7 @@ class RecordedScene:
         """
         block, used_mask = ready.block, ready.used
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
-        modelled = sheet_for(sensor_type, used_mask).problem.reference
+        modelled = problem_for(sensor_type, used_mask).reference
         side = None if recording.magnitudes_only else answering_levels(frame[used_mask], modelled)
         if side is not None and side.words:
             used_mask = used_mask.copy()

@@ -6,6 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_samples import edited, forged, sample_calibration, sample_force
+from row_tiers import rest_but
 
 from cbsr_qa.calibration.file.content import PREPARED
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp
@@ -84,7 +85,35 @@ _HOSTILE = {
 }
 
 
-@pytest.mark.parametrize("what", _HOSTILE)
+#: Of each check of the model, and of what else a force is worked out from, one.
+_ONE_OF_EACH = {
+    "node out of range",
+    "node of another shape",
+    "huge lattice",
+    "negative spacing",
+    "spacing NaN",
+    "template NaN",
+    "templates long",
+    "map too short",
+    "error negative",
+    "merging of others",
+    "nowhere",
+    "stress upside down",
+    "missing map",
+    "kernel that grows",
+    "slope zero",
+    "reference NaN",
+    "radius without end",
+    "size no exponential takes",
+    "merging of no sensor",
+    "nowhere to turn",
+    "one place",
+    "table of loads",
+    "reference of others",
+}
+
+
+@pytest.mark.parametrize("what", rest_but(_ONE_OF_EACH, _HOSTILE))
 def test_what_cannot_be_worked_with_is_refused_by_name_even_with_a_fitting_digest(issued, what):
     changes, said = _HOSTILE[what]
     _set(issued, changes)

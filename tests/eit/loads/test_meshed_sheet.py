@@ -77,6 +77,7 @@ def test_finer_meshes_converge_far_faster_than_their_elements(pin_sensor):
     assert max(errors[1]) < 1e-5
 
 
+@pytest.mark.rest
 def test_what_is_sent_back_is_reciprocal(arc_sensor):
     response = (
         MeshedSheet(meshed(arc_sensor(radius_mm=50.0), size_mm=6.0), 50.0)

@@ -76,6 +76,7 @@ def test_the_sheet_is_solved_once_a_frame_of_the_moment_in_its_middle(bench):
     assert len({index for _, index in bench.world.asked}) == 3
 
 
+@pytest.mark.rest
 def test_the_noise_of_a_session_that_goes_on_with_a_run_is_another():
     first, later = (Scanning(TabledWorld(began_s=began_s)) for began_s in (0.0, 12.3456))
     with first, later:

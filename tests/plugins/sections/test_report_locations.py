@@ -115,6 +115,7 @@ def test_sections_ask_what_a_phase_is_for_and_not_who_made_it(result):
     assert NineLocations().render(observed(result, record=replace(result.record, phases=nameless))) is None
 
 
+@pytest.mark.rest
 def test_masks_are_compared_over_the_grid_alone(result):
     (table,) = tables(MaskComparison().render(result))
     assert [row[0] for row in texts(table)] == ["25 %", "50 %", "75 %", "85 % (decides)"]

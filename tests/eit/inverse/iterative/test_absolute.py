@@ -169,6 +169,7 @@ def test_strong_loads_keep_their_amplitude_where_a_step_saturates(simulated):
     assert [int(share) for share in stated.groups()] == pytest.approx(shares, abs=1)
 
 
+@pytest.mark.rest
 def test_every_frame_stands_for_itself(problem):
     prepared = AbsoluteGaussNewton().prepare(problem)
     one = target_signal(problem, x_mm=12, y_mm=-20, radius_mm=6.5, contrast=0.2)

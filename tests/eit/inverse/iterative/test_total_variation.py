@@ -24,6 +24,18 @@ def noisy(problem) -> np.ndarray:
     return central_signal(problem, 0.2) + noise
 
 
+@pytest.fixture(scope="module")
+def prepared(problem):
+    """Prepared with a parameter that is given."""
+    return TotalVariation(hyperparameter=_ALPHA).prepare(problem)
+
+
+@pytest.fixture(scope="module")
+def image(prepared, noisy) -> np.ndarray:
+    """The image of the parameter that is given."""
+    return prepared.images(noisy[None])
+
+
 def strip(count: int, edge_mm: float) -> Mesh:
     """Triangles in a row, each joined to the next by an edge of this length."""
     height = np.sqrt(edge_mm**2 - 0.25)
@@ -113,6 +125,7 @@ def test_from_some_parameter_on_the_image_is_flat(problem, noisy):
     assert np.ptp(minimise.image(readings, 0.1 * flat).image) > 0
 
 
+@pytest.mark.rest
 def test_the_parameter_means_the_same_on_every_mesh(problem, noisy):
     residuals = []
     for size in (7.0, 5.0, 4.0):
@@ -165,8 +178,7 @@ def test_impossible_options_are_refused(options, reason):
 
 
 @pytest.mark.parametrize("options", [{"hyperparameter": _ALPHA, "iterations": 3}, {"hyperparameter": 1e-18}])
-def test_an_image_that_did_not_converge_is_refused(problem, noisy, options):
-    prepared = TotalVariation(hyperparameter=_ALPHA).prepare(problem)  # with an α that does
+def test_an_image_that_did_not_converge_is_refused(problem, prepared, noisy, options):
     hard = replace(
         prepared,
         choice=replace(prepared.choice, value=options["hyperparameter"]),
@@ -177,6 +189,7 @@ def test_an_image_that_did_not_converge_is_refused(problem, noisy, options):
     assert "raise the hyperparameter" in refused.value.remedy
 
 
+@pytest.mark.rest
 def test_a_frame_no_image_explains_is_refused(problem, noisy):
     prepared = TotalVariation().prepare(problem)
     prepared.images(noisy[None])
@@ -185,12 +198,6 @@ def test_a_frame_no_image_explains_is_refused(problem, noisy):
         prepared.images(np.stack([noisy, 20 * other]))
     assert "noise_dB" in refused.value.remedy
     TotalVariation(hyperparameter=prepared.choice.value).prepare(problem).images(20 * other[None])  # nobody said
-
-
-@pytest.fixture(scope="module")
-def image(problem, noisy) -> np.ndarray:
-    """The image of a parameter that is given."""
-    return TotalVariation(hyperparameter=_ALPHA).prepare(problem).images(noisy[None])
 
 
 @pytest.mark.parametrize(
@@ -220,8 +227,8 @@ def test_a_sample_that_says_nothing_is_refused_as_such(problem, noisy, image, sa
     [np.where(np.arange(208) % 2, 1e-300, 1e300), np.full(208, 1e-310), np.full(208, 1e-320)],
     ids=["alternating", "small", "denormal"],
 )
-def test_extreme_noise_variances_make_no_image_of_no_numbers(problem, noisy, variance):
-    chosen = TotalVariation(hyperparameter=_ALPHA).prepare(problem).choice
+def test_extreme_noise_variances_make_no_image_of_no_numbers(problem, prepared, noisy, variance):
+    chosen = prepared.choice
     options = {"tolerance": 1e-5, "most_steps": 60}
     with np.errstate(all="ignore"), pytest.raises(NumericsError, match="total variation") as refused:
         TotalVariationImages.from_problem(
@@ -230,8 +237,7 @@ def test_extreme_noise_variances_make_no_image_of_no_numbers(problem, noisy, var
     assert refused.value.remedy
 
 
-def test_readings_whose_squares_are_no_numbers_are_refused(problem, noisy):
-    prepared = TotalVariation(hyperparameter=_ALPHA).prepare(problem)
+def test_readings_whose_squares_are_no_numbers_are_refused(prepared, noisy):
     with pytest.raises(NumericsError, match="squares overflow"):
         prepared.images(1e300 * noisy[None])
 
