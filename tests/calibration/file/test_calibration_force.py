@@ -6,7 +6,7 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from calibration_samples import edited, forged, sample_calibration, sample_force
-from row_tiers import rest_but
+from tiers import rest_but
 
 from cbsr_qa.calibration.file.content import PREPARED
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp
