@@ -3,7 +3,7 @@
 import numpy as np
 
 from cbsr_qa.analysis.run.force import force_loads, run_force
-from cbsr_qa.analysis.run.place import PlaceErrors, RunPlace
+from cbsr_qa.analysis.run.place_found import PlaceErrors, RunPlace
 from cbsr_qa.calibration.force.learning import CalibrationLoads
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.place.features import ring_axes
