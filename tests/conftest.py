@@ -13,6 +13,7 @@ import pytest
 import sqlalchemy as sa
 from drawn import drawn
 from made_once import share
+from shared_statements import share_statements
 
 # As the command line does, before numpy is loaded: several workers with several threads each are far slower.
 os.environ.update(dict.fromkeys(("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS"), "1"))
@@ -27,6 +28,8 @@ for _name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGTSTP", "SIGQUIT"):
 # Of properties that do not say how many examples they are tried on.
 hypothesis.settings.register_profile("tier", drawn())
 hypothesis.settings.load_profile("tier")
+
+share_statements()
 
 # Fixtures that tests of several rooms use.
 pytest_plugins = ["round_sensors", "shared_recordings"]

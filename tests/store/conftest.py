@@ -3,9 +3,6 @@
 from pathlib import Path
 
 import pytest
-from shared_statements import share_statements
-
-share_statements()
 
 
 @pytest.fixture(params=["sqlite", pytest.param("postgresql", marks=(pytest.mark.postgres, pytest.mark.rest))])
