@@ -61,7 +61,7 @@ def test_its_snippets_find_the_balls_of_the_real_recording(shared, tmp_path):
 
 def test_the_engine_has_nothing_of_plugins_runs_or_results(beside):
     loaded = read_loaded(beside)
-    assert {name.split(".")[1] for name in loaded} == {"domain", "eit", "system"}
+    assert {name.split(".")[1] for name in loaded} == {"domain", "eit"}
     assert not [name for name in loaded if name.startswith(("cbsr_qa.domain.plan", "cbsr_qa.domain.run"))]
     assert not [name for name in loaded if name.startswith("cbsr_qa.domain.results")]
 
