@@ -2,8 +2,8 @@
 PYTHON ?= python3
 VENV ?= .venv
 BIN := $(VENV)/bin
-# Half of their time tests wait, for disks, processes and instruments that answer late: three at a time fill two cores.
-JOBS ?= 3
+# Half of their time tests wait, for disks, processes and instruments that answer late: four at a time fill two cores.
+JOBS ?= 4
 export CBSR_QA_VAR ?= var
 # Hundreds of commands are started: modules are compiled once. Without that every worker of the tests needs 17 s more.
 unexport PYTHONDONTWRITEBYTECODE

@@ -41,7 +41,7 @@ def pytest_collection_finish() -> None:
     """Leave what is collected out of later collections of garbage, which took a quarter of the time."""
     gc.collect()
     gc.freeze()
-    gc.set_threshold(20_000, 20, 50)
+    gc.set_threshold(5_000, 10, 10)
 
 
 @pytest.fixture(scope="session")

@@ -12,6 +12,7 @@ from sqlalchemy import (
     URL,
     Connection,
     Engine,
+    ExceptionContext,
     RootTransaction,
     create_engine,
     event,
@@ -112,9 +113,19 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
             event.listen(engine, "connect", partial(_remember_file, file))
             event.listen(engine, "begin", partial(_refuse_lost_file, file))
         event.listen(engine, "begin", _begin_sqlite)
+        event.listen(engine, "handle_error", _keep_connection)
     else:
         event.listen(engine, "connect", _disable_compiler)
     return engine
+
+
+def _keep_connection(context: ExceptionContext) -> None:
+    """Keep a SQLite connection whose statement a signal's exception ends: it is sound, and is rolled back.
+
+    SQLAlchemy would close it; closed with a cursor open, SQLite holds the lock on the file as long as the exception.
+    """
+    if not isinstance(context.original_exception, Exception):
+        context.is_disconnect = False
 
 
 def _check_regular(file: Path, url: URL) -> None:

@@ -6,7 +6,7 @@ import sys
 
 import pytest
 from stored_runs import CONFIGURATION, INDENTER, MATERIAL, SENSOR_TYPE, identity
-from tiers import rest_but_named
+from tiers import rest_but
 
 from cbsr_qa.domain.plan.steps import Hold, Press, Release
 from cbsr_qa.domain.readings.loads import Load
@@ -19,7 +19,9 @@ from cbsr_qa.testing.bench import Script, example_plan, make_scripted_bench
 
 STEPS = (Press(Load("L0", 0.0, 0.0, 0.2, 0)), Hold(10, acquire=True), Release(), Hold(5, acquire=True))
 #: Calls of Python functions after the frames are told: from the first to the last of a delivery.
-CALLS = (1, 2, 5, 10, 20, 40, 60, 80, 120, 160, 200, 260, 320, 400)
+CALLS = (1, 2, 5, 10, 20, 40, 60, 80, 120, 160, 200, 260, 300, 315, 330, 345, 360, 400)
+#: From 311 to 347 a query's cursor is open, once statements are compiled.
+KEPT = (1, 10, 60, 200, 315, 330, 345, 400)
 SAFE = [f"{role}.safe_state" for role in ("force_applicator", "frame_source", "load_cell")]
 
 
@@ -66,7 +68,9 @@ def run_torn(path, kind, call):
         return ended, torn, store.runs.load(run), script
 
 
-@pytest.mark.parametrize("call", rest_but_named({str(n): n for n in CALLS}, "1", "10", "60", "200", "400"))
+@pytest.mark.parametrize(
+    "call", rest_but_named({str(n): n for n in CALLS}, "1", "10", "60", "200", "315", "330", "345", "400")
+)
 def test_frames_are_stored_whole_or_not_at_all(tmp_path, call):
     ended, torn, back, script = run_torn(tmp_path / "runs.db", FramesTaken, call)
     assert torn.left <= 0, "the delivery has not that many calls"

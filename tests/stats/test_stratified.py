@@ -56,6 +56,7 @@ def test_one_stratum_is_judged_as_two_groups():
     assert shift_within([(first, second), (first, empty), (empty, second)]) == shift(first, second)
 
 
+@pytest.mark.rest
 def test_intervals_hold_whatever_stations_add_and_however_sensors_are_distributed():
     """95 % within three standard errors of 800 draws, of normal and of skewed (exponential) sensors."""
     for draw in (np.random.Generator.standard_normal, np.random.Generator.standard_exponential):
