@@ -11,12 +11,12 @@ from cbsr_qa.plugin import Array, Moment, PluginOptions, Problem, RefusedError, 
 from cbsr_qa.simulate.effect import Amount, Electrode, Positive, SceneEffect, check_electrode
 from cbsr_qa.simulate.streams import RandomStream
 
-#: Effects on sheet and contacts, which leave what is outside as it is.
+#: Effects on the sheet and its contacts, which must be applied before those on leads outside it.
 BESIDE_THE_SHEET: Final = ("temperature-drift",)
 
 
 def add_series_resistance(moment: Moment, electrode: int, resistance_ohm: float) -> None:
-    """Add a resistance to an electrode's own potential.
+    """Add a resistance in series with an electrode: on the diagonal of the transfer impedance, if there is one.
 
     A voltmeter draws no current through it: only the driven pairs of this electrode show it.
     """
@@ -26,7 +26,8 @@ def add_series_resistance(moment: Moment, electrode: int, resistance_ohm: float)
         moment.impedance_ohm = impedance
 
 
-_MAX_LOG_CHANGE: Final = 50.0  # change of ln z; no sheet can be solved with contacts that far off
+#: Largest change of ln z with which the sheet can still be solved.
+_MAX_LOG_CHANGE: Final = 50.0
 
 
 class ContactDrift(SceneEffect):
@@ -44,21 +45,21 @@ class ContactDrift(SceneEffect):
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        per_s = self.options.deviation_per_hour / 3600
+        deviation_per_s = self.options.deviation_per_hour / 3600
         count = setting.sensor_type.electrodes.count
-        self._rate_per_s = per_s * RandomStream(setting.seed, "contact-drift").normal(0, (count,))
+        self._rate_per_s = deviation_per_s * RandomStream(setting.seed, "contact-drift").normal(0, (count,))
 
     def apply(self, moment: Moment) -> None:
         if moment.contact_mm is None:
             return
-        grown = self._rate_per_s * moment.run_s
-        worst = int(np.abs(grown).argmax())
-        if abs(grown[worst]) > _MAX_LOG_CHANGE:
+        log_change = self._rate_per_s * moment.run_s
+        worst = int(np.abs(log_change).argmax())
+        if abs(log_change[worst]) > _MAX_LOG_CHANGE:
             raise RefusedError(
-                f"contact-drift makes contact {worst} e^{grown[worst]:.0f} of what it was at {moment.run_s:g} s",
+                f"contact-drift makes contact {worst} e^{log_change[worst]:.0f} of what it was at {moment.run_s:g} s",
                 remedy="take a smaller deviation_per_hour",
             )
-        moment.contact_mm = moment.contact_mm * np.exp(grown)
+        moment.contact_mm = moment.contact_mm * np.exp(log_change)
 
 
 class ContactSpread(SceneEffect):
@@ -91,7 +92,8 @@ class ContactSpread(SceneEffect):
 MeanTime = Annotated[float, Field(ge=1e-2, le=1e9)]
 OpenLead = Annotated[float, Field(gt=0, le=1e12)]
 
-_A_BLOCK: Final = 16.0  # events on average; one of e^16 blocks is empty
+#: Mean number of events in a block of time; one of e^16 blocks has none.
+_EVENTS_PER_BLOCK: Final = 16.0
 
 
 class ElectrodeIntermittent(SceneEffect):
@@ -124,7 +126,7 @@ class ElectrodeIntermittent(SceneEffect):
         check_electrode("electrode", self.options.electrode, setting)
         open_s, closed_s = self.options.mean_open_s, self.options.mean_closed_s
         self._share_open = open_s / (open_s + closed_s)
-        self._block_s = _A_BLOCK * open_s * closed_s / (open_s + closed_s)
+        self._block_s = _EVENTS_PER_BLOCK * open_s * closed_s / (open_s + closed_s)
         self._stream = RandomStream(setting.seed, "electrode-intermittent")
 
     def apply(self, moment: Moment) -> None:
@@ -145,21 +147,21 @@ class ElectrodeIntermittent(SceneEffect):
     def _is_open(self, time_s: float) -> bool:
         block = math.floor(time_s / self._block_s)
         while block >= 0:
-            events = [mark for at_s, mark in self._events(block) if at_s <= time_s]
-            if events:
-                return events[-1]
+            states = [is_open for at_s, is_open in self._events(block) if at_s <= time_s]
+            if states:
+                return states[-1]
             block -= 1
-        # Before the first event: as the run found it.
+        # Before the first event the state is drawn from a stream of its own.
         return bool(self._stream.generator(0).uniform() < self._share_open)
 
     def _events(self, block: int) -> list[tuple[float, bool]]:
-        """Times of a block's events, rising, and whether the lead is open after each."""
+        """Return the times of a block's events [s], rising, and whether the lead is open after each."""
         random = self._stream.generator(1 + block)
-        count = int(random.poisson(_A_BLOCK))
-        times = (block + random.uniform(size=count)) * self._block_s
-        times.sort()
-        marks = random.uniform(size=count) < self._share_open
-        return list(zip(times.tolist(), marks.tolist(), strict=True))
+        count = int(random.poisson(_EVENTS_PER_BLOCK))
+        times_s = (block + random.uniform(size=count)) * self._block_s
+        times_s.sort()
+        is_open = random.uniform(size=count) < self._share_open
+        return list(zip(times_s.tolist(), is_open.tolist(), strict=True))
 
 
 class _LeadOptions(PluginOptions):
@@ -244,8 +246,10 @@ class ElectrodeShort(SceneEffect):
 
     def apply(self, moment: Moment) -> None:
         if moment.impedance_ohm is not None:
-            ohm, seen = self.options.resistance_ohm, moment.impedance_ohm @ self._between
-            moment.impedance_ohm = moment.impedance_ohm - np.outer(seen, seen) / (ohm + self._between @ seen)
+            # Potentials of all electrodes for unit current from one shorted electrode to the other: Z a.
+            potentials_ohm = moment.impedance_ohm @ self._between
+            loop_ohm = self.options.resistance_ohm + self._between @ potentials_ohm
+            moment.impedance_ohm = moment.impedance_ohm - np.outer(potentials_ohm, potentials_ohm) / loop_ohm
 
 
 class LeadResistance(_BadLead):

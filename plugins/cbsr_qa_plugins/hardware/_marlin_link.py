@@ -16,20 +16,36 @@ from cbsr_qa.system.clock import RealClock
 
 #: Lines are counted from here on after a start: a printer that asks for number 1 has restarted.
 _FIRST_NUMBER: Final = 1000
+#: Size of the printer's buffer of one line [bytes].
 _MAX_LINE_LENGTH: Final = 96
+#: Number of times a line is sent, or a query repeated, before it counts as failed.
 _ATTEMPTS: Final = 4
 #: How long a printer may go on saying that it is busy [s, real time]: homing with mesh levelling takes minutes.
 _BUSY_AT_MOST_S: Final = 600.0
-#: Interval of queries during its start [s, real time].
-_KNOCK_S: Final = 0.5
-_TOKENS: Final = 3
+#: Interval of queries while a printer boots [s, real time].
+_BOOT_QUERY_S: Final = 0.5
+#: Number of times a text is sent that should come back, before the printer counts as silent.
+_TOKEN_ATTEMPTS: Final = 3
+#: A busy printer says so every two seconds, the first time two seconds after the command came; half a second more is
+#: allowed [s, real time].
+_BUSY_EVERY_S: Final = 2.5
+#: Commands that are only acknowledged when what they do, or wait for, is over.
+_SLOW_COMMANDS: Final = ("G28", "M400")
+_CHECK: Final = "check its address, its cable and its power"
+_HOME: Final = "it must home before it moves again"
 
 
 class MarlinLink:
     """Sends commands to a printer and waits for their acknowledgements.
 
-    InstrumentError if there is no answer within this time. ``boot_s``: how long the printer may take from the opening
-    of its port to its first answer [s, real time].
+    Parameters
+    ----------
+    boot_s : how long the printer may take from the opening of its port to its first answer [s, real time].
+
+    Raises
+    ------
+    InstrumentError
+        If it does not answer within this time.
     """
 
     def __init__(self, link: SerialLink, *, boot_s: float) -> None:
@@ -58,7 +74,7 @@ class MarlinLink:
         InstrumentError if it is not acknowledged, the printer does not know it, or has restarted.
         """
         with self._exchanging:
-            self._look_back()
+            self._discard_old_lines()
             if self._lost:
                 self._begin()
             self._number += 1
@@ -72,7 +88,7 @@ class MarlinLink:
         with self._exchanging:
             for _ in range(_ATTEMPTS):
                 lines = self.command(text)
-                if lines and not self._look_back():
+                if lines and not self._discard_old_lines():
                     return lines
         raise self._link.error(
             f"it does not answer {text!r} in a way that is understood", remedy=_CHECK, retryable=True
@@ -80,7 +96,7 @@ class MarlinLink:
 
     @contextmanager
     def alone(self, patience_s: float) -> Iterator[bool]:
-        """Keep other threads from the line; false if one of them did not leave it within this time."""
+        """Keep other threads from the line; yield False if one of them did not release it within this time."""
         is_acquired = self._exchanging.acquire(timeout=patience_s)
         try:
             yield is_acquired
@@ -89,7 +105,7 @@ class MarlinLink:
                 self._exchanging.release()
 
     def shout(self, *commands: str) -> None:
-        """Send commands without number or waiting: another thread hangs on the line, or answers fail to arrive."""
+        """Send commands without number or waiting, for when another thread blocks the line or no answers arrive."""
         self._link.write(b"\n" + b"".join(f"{text}\n".encode("ascii") for text in commands))
 
     def reopen(self) -> None:
@@ -98,7 +114,7 @@ class MarlinLink:
         InstrumentError if it does not open, or there is no answer.
         """
         with self._exchanging:
-            self._forget()
+            self._note_lost_position()
             self._link.reopen()
             self._begin()
 
@@ -108,7 +124,7 @@ class MarlinLink:
         """Wait until the printer has booted, and restart line numbers."""
         self._number = _FIRST_NUMBER
         until_s = self._time.now() + self._boot_s
-        while not self._answers_token(_KNOCK_S):
+        while not self._answers_token(_BOOT_QUERY_S):
             if self._time.now() > until_s:
                 raise self._link.error(
                     f"no Marlin printer answers within {self._boot_s:g} s", remedy=_CHECK, retryable=False
@@ -117,14 +133,17 @@ class MarlinLink:
         self._lost = False
 
     def _answers_token(self, patience_s: float) -> bool:
-        """Send a text that comes back, whether the firmware knows M118 or not; what came before it is old."""
+        """Send a text and read until it comes back; return whether it did.
+
+        It comes back whether the firmware knows M118 or not. All lines before it are old.
+        """
         self._tokens += 1
         token = f"sync-{self._tokens}."
         self._link.write(f"\nM118 {token}\n".encode("ascii"))
         try:
-            while token not in self._line(patience_s):
+            while token not in self._read_line(patience_s):
                 pass
-            while not self._line(patience_s).startswith("ok"):
+            while not self._read_line(patience_s).startswith("ok"):
                 pass
         except InstrumentError as error:
             if not error.retryable:
@@ -142,12 +161,12 @@ class MarlinLink:
         for _ in range(_ATTEMPTS):
             self._link.write(line)
             try:
-                lines, requested = self._answer(lasts=text.startswith(_LASTING))
+                lines, requested = self._read_answer(may_take_long=text.startswith(_SLOW_COMMANDS))
             except InstrumentError as error:
                 if not error.retryable:
                     raise
                 # What comes from here on belongs to what is sent from here on.
-                if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKENS)):
+                if not any(self._answers_token(self._link.timeout_s) for _ in range(_TOKEN_ATTEMPTS)):
                     self.silent = True
                     raise self._link.error("it does not answer any more", remedy=_CHECK) from error
                 continue
@@ -155,24 +174,24 @@ class MarlinLink:
             if requested in (None, number + 1):  # the latter: it was done before, and its answer was lost
                 return lines
             if requested != number:
-                self._forget()
+                self._note_lost_position()
                 raise self._link.error(
                     f"it asks for line {requested} instead of {number}: it has restarted", remedy=_HOME
                 )
         raise self._link.error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
 
-    def _answer(self, *, lasts: bool) -> tuple[list[str], int | None]:
+    def _read_answer(self, *, may_take_long: bool) -> tuple[list[str], int | None]:
         """Read up to the acknowledgement; return the output before it, and the line it requests again, if any.
 
-        ``lasts``: the command may take long, and the printer says only after a while that it is busy with it.
+        ``may_take_long``: the command may take long, and the printer says only after a while that it is busy with it.
         """
         lines: list[str] = []
         requested: int | None = None
         began_s = self._time.now()
         busy_s = max(self._link.timeout_s, _BUSY_EVERY_S)
-        until_s = began_s + (busy_s if lasts else self._link.timeout_s)
+        until_s = began_s + (busy_s if may_take_long else self._link.timeout_s)
         while True:
-            line = self._line(max(until_s - self._time.now(), 0.0))
+            line = self._read_line(max(until_s - self._time.now(), 0.0))
             if line.startswith("ok"):
                 return lines, requested
             if line.startswith("echo:busy") and self._time.now() < began_s + _BUSY_AT_MOST_S:
@@ -183,34 +202,25 @@ class MarlinLink:
             elif not line.startswith("Error:"):
                 lines.append(line)
 
-    def _line(self, timeout_s: float) -> str:
+    def _read_line(self, timeout_s: float) -> str:
         line = self._link.read_line(timeout_s).decode("ascii", "replace").strip()
-        self._notice(line)
+        self._check_for_restart(line)
         return line
 
-    def _notice(self, line: str) -> None:
-        """Raise if a line reports a lost position."""
+    def _check_for_restart(self, line: str) -> None:
+        """Note the lost position if a line reports a restart or halt; InstrumentError once commands were sent."""
         if line == "start" or "Printer halted" in line or "kill()" in line:
-            self._forget()
+            self._note_lost_position()
             if self._number > _FIRST_NUMBER:
                 raise self._link.error(f"it has restarted (it said {line!r}): its position is lost", remedy=_HOME)
 
-    def _forget(self) -> None:
+    def _note_lost_position(self) -> None:
         self.restarts += 1
         self._lost = True
 
-    def _look_back(self) -> bool:
-        """Throw away what came since the last answer, but for the news of a restart; whether there was anything."""
+    def _discard_old_lines(self) -> bool:
+        """Discard lines since the last answer, but check them for a restart; return whether there were any."""
         lines = self._link.read_available().decode("ascii", "replace").splitlines()
         for line in lines:
-            self._notice(line.strip())
+            self._check_for_restart(line.strip())
         return bool(lines)
-
-
-#: A busy printer says so every two seconds, the first time two seconds after the command came; half a second more is
-#: allowed [s, real time].
-_BUSY_EVERY_S: Final = 2.5
-#: Commands that are only acknowledged when what they do, or wait for, is over.
-_LASTING: Final = ("G28", "M400")
-_CHECK: Final = "check its address, its cable and its power"
-_HOME: Final = "it must home before it moves again"

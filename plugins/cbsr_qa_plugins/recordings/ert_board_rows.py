@@ -27,7 +27,7 @@ from cbsr_qa_plugins.recordings.lab_files import number as as_number
 
 #: A 16-bit converter, printed as signed or unsigned.
 LOWEST_COUNT, HIGHEST_COUNT = -(2**15), 2**16 - 1
-#: No converter, whatever its counts were multiplied by, fills more.
+#: Largest range of counts that is believed, whatever they were multiplied by.
 _MAX_COUNT_RANGE: Final = 2**40
 
 _BYTES_LITERAL = re.compile(r"""^b(['"])(.*)\1$""", re.DOTALL)
@@ -39,7 +39,7 @@ LAST_BOARD_MS: Final = 2**32 - 1
 #: Latest time of a computer that is believed [s]; Unix time will reach it in the year 5138.
 _MAX_COMPUTER_S: Final = 1e11
 #: A line with at least this many numbers is a row of readings with something wrong in it, not a log.
-_NUMBERS_OF_A_ROW: Final = 3
+_MIN_ROW_NUMBERS: Final = 3
 
 
 class LineKind(Enum):
@@ -130,22 +130,22 @@ def parse_line(number: int, text: str, *, with_mass: bool) -> BoardLine:
     with_mass = with_mass and not whole_line
     mass_g = as_number(fields[1]) if with_mass and len(fields) > 1 else None
     payload = fields[2:] if with_mass else fields[1:]
-    kind, numbers, log = _payload(payload)
+    kind, numbers, log = _classify_payload(payload)
     return BoardLine(number, kind, computer_s, mass_g, numbers, log, closed)
 
 
-def _payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
+def _classify_payload(fields: list[str]) -> tuple[LineKind, tuple[int, ...], str]:
     if fields == ["A"]:
         return LineKind.MARK, (), "A"
     if fields and all(_INTEGER.match(field) for field in fields):
         return LineKind.ROW, tuple(int(field.partition(".")[0]) for field in fields), ""
     if _SPOILT_MARK.match(text := ",".join(fields)):
         return LineKind.GARBLED, (), f"a frame mark with something behind it: {text[:40]!r}"
-    if sum(bool(_INTEGER.match(field)) for field in fields) < _NUMBERS_OF_A_ROW:
+    if sum(bool(_INTEGER.match(field)) for field in fields) < _MIN_ROW_NUMBERS:
         return LineKind.LOG, (), text
-    leading = next(k for k, field in enumerate(fields) if not _INTEGER.match(field))
+    leading = next(index for index, field in enumerate(fields) if not _INTEGER.match(field))
     odd = fields[leading] or "an empty field"
-    if leading >= _NUMBERS_OF_A_ROW and ("\x1b" in odd or "task_wdt" in odd):
+    if leading >= _MIN_ROW_NUMBERS and ("\x1b" in odd or "task_wdt" in odd):
         log = f"a log is printed into a row after {leading} numbers; the rest of the row follows it"
         return LineKind.TORN, (), log
     return LineKind.GARBLED, (), f"{len(fields)} fields with {odd[:40]!r} among the numbers"
@@ -158,7 +158,7 @@ class CountScale:
     Parameters
     ----------
     factor : constant that the file's numbers are multiplied by; they are divided by it.
-    lowest, highest : what a count may be, after division.
+    lowest, highest : least and largest possible count, after division.
     """
 
     factor: int = 1
@@ -185,19 +185,19 @@ def count_scale(rows: Sequence[tuple[int, ...]]) -> CountScale:
     rows : readings of each row. Single damaged ones do not matter: only if most rows leave 16 bits is the scale
         in doubt; the factor is that of most rows.
     """
-    if not rows or 2 * sum(_sixteen_bits(row) for row in rows) >= len(rows):
+    if not rows or 2 * sum(_fits_sixteen_bits(row) for row in rows) >= len(rows):
         return CountScale()
     # Sixteen or more unrelated numbers have a common divisor by chance once in 65 000 rows.
     factor = max(Counter(gcd(*row) for row in rows).most_common(1)[0][0], 1)
     divided = [tuple(value // factor for value in row) for row in rows]
-    if factor > 1 and 2 * sum(_sixteen_bits(row) for row in divided) >= len(rows):
+    if factor > 1 and 2 * sum(_fits_sixteen_bits(row) for row in divided) >= len(rows):
         return CountScale(factor)
     typical = sorted(max(map(abs, row)) for row in rows)[len(rows) // 2]
     reach: int = 2 ** (typical.bit_length() + 1)
     return CountScale(1, -reach, reach - 1) if reach <= _MAX_COUNT_RANGE else CountScale()
 
 
-def _sixteen_bits(row: tuple[int, ...]) -> bool:
+def _fits_sixteen_bits(row: tuple[int, ...]) -> bool:
     return all(LOWEST_COUNT <= value <= HIGHEST_COUNT for value in row)
 
 
@@ -207,8 +207,8 @@ class RowForm:
 
     Parameters
     ----------
-    pairs : readings of a row, and rows of a frame.
-    has_clock : whether the board's clock stands in front.
+    pairs : number of electrode pairs: of readings in a row, and of rows in a frame.
+    has_clock : whether the board's clock precedes the readings.
     """
 
     pairs: int
@@ -216,7 +216,7 @@ class RowForm:
 
     @property
     def width(self) -> int:
-        """Numbers of a good row."""
+        """Number of numbers in a good row."""
         return self.pairs + self.has_clock
 
 
@@ -251,8 +251,8 @@ class DroppedFrame:
     Parameters
     ----------
     first_line, last_line : of the file.
-    rejected_lines : rows of it that were rejected.
-    why : in words.
+    rejected_lines : lines of its rows that were rejected.
+    why : reason in words.
     """
 
     first_line: int
@@ -268,11 +268,11 @@ class DroppedFrame:
 
 @dataclass(slots=True)
 class Assembly:
-    """What was put together.
+    """Frames of a file, and what is left of it.
 
     Parameters
     ----------
-    pairs : readings of a row, and rows of a frame.
+    pairs : number of readings in a row, and of rows in a frame.
     frames : rows of each whole frame, in time order.
     dropped : frames that broke between two marks. The one cut by the start or the end of the file is not among
         them: every recording has those.
@@ -298,7 +298,7 @@ def assemble(lines: list[BoardLine], scan: ScanKind, pairs: int) -> Assembly:
     scan : FULL: a mark and a row for each pair; DRIVEN_PAIRS: every row is a frame and marks only separate them.
     pairs : readings of a row.
     """
-    assembly = Assembly(pairs, dumps=_dumps(lines))
+    assembly = Assembly(pairs, dumps=_list_dumps(lines))
     if scan is ScanKind.DRIVEN_PAIRS:
         assembly.frames = [(line,) for line in lines if line.kind is LineKind.ROW]
         return assembly
@@ -312,36 +312,36 @@ def assemble(lines: list[BoardLine], scan: ScanKind, pairs: int) -> Assembly:
 
 def _assemble_session(lines: list[BoardLine], following: list[BoardLine], assembly: Assembly) -> None:
     """Put the frames of a session together; headers and then ``following`` may stand behind it."""
-    marks = [k for k, line in enumerate(lines) if line.kind is LineKind.MARK]
+    marks = [index for index, line in enumerate(lines) if line.kind is LineKind.MARK]
     # Where a whole frame's rows stand before the first mark that follows, headers were put between it and its mark.
     before_mark = list(takewhile(lambda line: line.kind is not LineKind.MARK, following))
     frame_follows = sum(line.kind is LineKind.ROW for line in before_mark) == assembly.pairs
     for begin, end in zip_longest(marks, marks[1:]):
         inside = lines[begin + 1 : end]
         rows = tuple(line for line in inside if line.kind is LineKind.ROW)
-        bad = tuple(line.number for line in inside if line.kind in (LineKind.GARBLED, LineKind.TORN))
-        if len(rows) == assembly.pairs and not bad:
+        bad_lines = tuple(line.number for line in inside if line.kind in (LineKind.GARBLED, LineKind.TORN))
+        if len(rows) == assembly.pairs and not bad_lines:
             assembly.frames.append(rows)
-        elif bad or (inside and (end is not None or following)) or (end is None and frame_follows):
+        elif bad_lines or (inside and (end is not None or following)) or (end is None and frame_follows):
             why = f"{len(rows)} whole rows where a frame has {assembly.pairs}"
             if end is None and following:
                 why += f", then headers, and the recording continues in line {following[0].number}"
-            assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad, why))
+            assembly.dropped.append(DroppedFrame(lines[begin].number, lines[begin:end][-1].number, bad_lines, why))
 
 
-def _dumps(lines: list[BoardLine]) -> list[RowProblem]:
-    """Name each stretch of log lines once, by its first line."""
+def _list_dumps(lines: list[BoardLine]) -> list[RowProblem]:
+    """Describe each stretch of log lines once, at its first line."""
     dumps: list[RowProblem] = []
     rows_before = False
     for logged, group in groupby(lines, key=lambda line: line.kind in (LineKind.LOG, LineKind.TORN)):
         stretch = list(group)
         if logged:
-            dumps.append(_dump(stretch, rows_before))
+            dumps.append(_describe_dump(stretch, rows_before))
         rows_before = rows_before or any(line.kind is LineKind.ROW for line in stretch)
     return dumps
 
 
-def _dump(stretch: list[BoardLine], rows_before: bool) -> RowProblem:
+def _describe_dump(stretch: list[BoardLine], rows_before: bool) -> RowProblem:
     text = " ".join(line.said for line in stretch)
     if "task_wdt" in text or "Backtrace" in text:
         name = "watchdog dump"

@@ -1,8 +1,7 @@
-"""Presses of unknown place and strain: what a sensor meets in the field.
+"""Sequences of presses at many places: on a grid, from a list, and at random.
 
-The paper's grid: every location at every strain, a number of times.
-
-Presses given one by one, e.g. from a publication or another list.
+The grid is the paper's: every location at every strain, a number of times. Listed presses may come from a
+publication. Random ones have unknown place and strain, as in the field.
 """
 
 import hashlib
@@ -69,7 +68,7 @@ class LocationGridSequence(WithOptions):
         yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
 
-_FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm and angle_deg"
+_PLACE_FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm and angle_deg"
 
 
 class GivenLoad(PluginOptions):
@@ -117,7 +116,7 @@ class GivenLoadsSequence(WithOptions):
             for number, load in enumerate(self.loads):
                 if load.model_fields_set - {"strain_percent"} not in ({"x_mm", "y_mm"}, {"radius_mm", "angle_deg"}):
                     what = f"has {', '.join(sorted(load.model_fields_set))}"
-                    yield Problem(("loads", number), what, f"it must be {_FORMS}")
+                    yield Problem(("loads", number), what, f"it must be {_PLACE_FORMS}")
 
     role = Role.RANDOM
     options: Options
@@ -177,17 +176,19 @@ class RandomLoadsSequence(WithOptions):
         digest = hashlib.sha256(f"{context.seed}/{options.stream}".encode()).digest()
         generator = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "big")))
         draws = generator.random((options.count, 3))
-        loads = tuple(self._load(number, *map(float, draw)) for number, draw in enumerate(draws))
+        loads = tuple(self._draw_load(number, *map(float, draw)) for number, draw in enumerate(draws))
         yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
 
-    def _load(self, number: int, first: float, second: float, third: float) -> Load:
-        radius_mm = _interpolate(self.options.radius_mm, first)
-        angle = 2 * np.pi * second
+    def _draw_load(self, number: int, radius_draw: float, angle_draw: float, strain_draw: float) -> Load:
+        """Return a load of three random numbers, each from 0 to 1."""
+        radius_mm = _interpolate(self.options.radius_mm, radius_draw)
+        angle = 2 * np.pi * angle_draw
         place_mm = np.trunc(100 * radius_mm * np.array([np.cos(angle), np.sin(angle)])) / 100 + 0.0  # no −0
         lowest, highest = self.options.strain_percent
-        percent = min(max(round(_interpolate((lowest, highest), third), 2), lowest), highest)
+        percent = min(max(round(_interpolate((lowest, highest), strain_draw), 2), lowest), highest)
         return Load(f"R{number}", float(place_mm[0]), float(place_mm[1]), percent / 100, 0)
 
 
 def _interpolate(bounds: tuple[float, float], share: float) -> float:
-    return bounds[0] + (bounds[1] - bounds[0]) * share
+    lowest, highest = bounds
+    return lowest + (highest - lowest) * share
