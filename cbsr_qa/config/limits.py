@@ -1,6 +1,6 @@
-"""Files of limits that a recipe refers to are included by content, so that a stored run needs no file.
+"""Limits in recipes and in separate files, and their version.
 
-Limits in recipes and in separate files, and their version.
+The content of a file of limits that a recipe refers to is copied into the recipe, so that a stored run needs no file.
 """
 
 import hashlib
@@ -65,7 +65,9 @@ class LimitTable(Table):
 
 
 def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Sequence[str]) -> Iterator[Problem]:
-    """Yield limits on the overlap of blobs of any size: one over the whole sheet and one speck both overlap by half.
+    """Yield limits on the overlap of blobs whose size is not limited too.
+
+    A blob over the whole sheet overlaps by half, and so does a mere speck.
 
     Parameters
     ----------
@@ -92,7 +94,7 @@ def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Seque
 
 
 class LimitsVersionTable(Table):
-    """``[limits_version]``: what the limits with this ``version`` are. Written by ``cbsr-qa limits propose``."""
+    """``[limits_version]``: origin of the limits with this ``version``. Written by ``cbsr-qa limits propose``."""
 
     version: VersionName
     date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
@@ -147,7 +149,7 @@ def version_problems(header: LimitsVersionTable | None, limits: Sequence[LimitTa
 
 def limits_digest(limits: Sequence[dict[str, Any]]) -> str:
     """Return the SHA-256 of limits as canonical JSON, independent of their order."""
-    # With every key and its default: leaving a default out changes nothing.
+    # Missing keys get their defaults first: whether a default is written out does not change the digest.
     whole_limits = [LimitTable.model_validate(limit).model_dump() for limit in limits]
     rows = sorted(json.dumps(limit, sort_keys=True, ensure_ascii=False) for limit in whole_limits)
     return hashlib.sha256("\n".join(rows).encode()).hexdigest()
@@ -176,7 +178,7 @@ def with_limits(document: Document) -> Document:
             f"{document.label}: {place}recipe.limits_from: {error.reason}", remedy=error.remedy
         ) from error
     own_limits = document.data.get("limits", [])
-    problems = list(_problems(document, included, own_limits)) if isinstance(own_limits, list) else []
+    problems = list(_find_duplicates(document, included, own_limits)) if isinstance(own_limits, list) else []
     if problems:
         raise refusal(document, problems)
     limits = [*own_limits, *included.data["limits"]] if isinstance(own_limits, list) else own_limits
@@ -187,18 +189,19 @@ def with_limits(document: Document) -> Document:
     )
 
 
-def _problems(document: Document, taken: Document, own: list[object]) -> list[Problem]:
-    """List what both files state."""
+def _find_duplicates(document: Document, included: Document, own_limits: list[object]) -> list[Problem]:
+    """List the limits, and the version, that both the recipe and the included file state."""
     problems = []
     if "limits_version" in document.data:
-        problems.append(Problem(("limits_version",), f"is stated here and in {taken.label}; remove this one"))
-    included_judges = {_judges(limit) for limit in taken.data["limits"]}
-    for index, limit in enumerate(own):
-        if isinstance(limit, Mapping) and _judges(limit) in included_judges:
-            finding = f"({limit.get('measurement')}) is limited in {taken.label} too; remove one of them"
+        problems.append(Problem(("limits_version",), f"is stated here and in {included.label}; remove this one"))
+    included_judges = {_read_judged(limit) for limit in included.data["limits"]}
+    for index, limit in enumerate(own_limits):
+        if isinstance(limit, Mapping) and _read_judged(limit) in included_judges:
+            finding = f"({limit.get('measurement')}) is limited in {included.label} too; remove one of them"
             problems.append(Problem(("limits", index), finding))
     return problems
 
 
-def _judges(limit: Mapping[str, object]) -> tuple[object, object, object]:
+def _read_judged(limit: Mapping[str, object]) -> tuple[object, object, object]:
+    """Return what a raw limit judges: measurement, phase and qualifier, as :attr:`LimitTable.judges`."""
     return limit.get("measurement"), limit.get("phase", ""), limit.get("qualifier", "")

@@ -1,4 +1,4 @@
-"""The one folder that a run writes to."""
+"""The one folder that all output goes to, its subfolders, and the address of the database."""
 
 import errno
 import os
@@ -17,7 +17,7 @@ def database_url(option: str | None = None, environment: Mapping[str, str] = os.
     """Return the URL of the database: the option, else ``CBSR_QA_DATABASE``, else SQLite at ``var/cbsr-qa.db``.
 
     A plain path instead of a URL means a SQLite file there. ConfigError if the option is empty, as when a shell
-    variable is not set: the default could be another line's.
+    variable is not set: the default could be the database of another production line.
     """
     if option is not None and not option.strip():
         raise ConfigError("--database is empty", remedy="name a file or URL, or leave the option out for the default")
@@ -51,7 +51,7 @@ def check_folder(folder: Path) -> None:
     Raises
     ------
     ConfigError
-        Naming it and the obstacle.
+        If it could not; the message names the folder and the obstacle.
     """
     nearest_existing = next((path for path in (folder, *folder.absolute().parents) if os.path.lexists(path)), folder)
     if not nearest_existing.is_dir():
@@ -61,12 +61,12 @@ def check_folder(folder: Path) -> None:
 
 
 def writable_folder(folder: Path) -> Path:
-    """Create a folder if need be and make sure that files can be written there, before anything is moved.
+    """Create a folder if need be, make sure that files can be written there, and return it.
 
     Raises
     ------
     ConfigError
-        If it cannot be created or written to; nothing is written then.
+        If it cannot be created or written to.
     """
     probe = folder / f".cbsr-qa-{os.getpid()}"
     try:

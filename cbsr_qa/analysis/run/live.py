@@ -1,7 +1,7 @@
 """Images of a run that is still going on, and what a load looks like in them: a preview, which judges nothing.
 
-The reference is the unloaded frames so far, and a reading counts unless it is flagged in one of them. Defects that
-show over a whole run (offsets, spikes, electrodes that come loose) are left to the analysis of the run.
+The reference is the mean of the unloaded frames so far. A reading is used unless it is flagged in one of them.
+Defects that show only over a whole run (offsets, spikes, loose electrodes) are left to the analysis of the run.
 """
 
 from dataclasses import dataclass
@@ -29,8 +29,8 @@ class PlacePreview:
 
     Parameters
     ----------
-    error_mm, overlap_percent : error and overlap of the region next to the head, at the recipe's main mask; None
-        where none is seen.
+    error_mm, overlap_percent : error of the place [mm] and overlap [%] of the imaged region nearest to the indenter,
+        at the recipe's main mask; None where no region is seen.
     band : grade of the overlap, as the recipe names it; ``"not seen"`` without a region.
     """
 
@@ -80,23 +80,29 @@ class LivePreview:
         return self.imager.mesh
 
     def image(self, frames: FrameBlock) -> Array:
-        """Return the mean image of some frames: (e,) float64, relative conductance change."""
-        values: Array = self.imager.images(frames).mean(axis=0)
-        return values
+        """Return the mean image of some frames: (e,) float64, relative conductance change of each element."""
+        mean_image: Array = self.imager.images(frames).mean(axis=0)
+        return mean_image
 
     def place(self, load: Load, steady: FrameBlock) -> PlacePreview:
-        """Say how well a load is seen in the last frames of its hold."""
-        values, footprint = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
-        signed = values if mean_under(self.mesh, values, footprint) >= 0 else -values
-        regions = find_sensed_regions(self.mesh, signed, self.noise_floor, self.settings, footprint)
+        """Return how well a load is seen.
+
+        Parameters
+        ----------
+        steady : the last frames of its hold.
+        """
+        image, footprint = self.image(steady), self.indenter.footprint_at(load.x_mm, load.y_mm)
+        # Regions are sought where the image is positive, and a load may also lower the conductance.
+        positive_image = image if mean_under(self.mesh, image, footprint) >= 0 else -image
+        regions = find_sensed_regions(self.mesh, positive_image, self.noise_floor, self.settings, footprint)
         settings = self.settings
         figures = spatial_figures(regions, footprint, clipping=settings.clipping, perimeter=settings.perimeter)
         index = settings.masks.index(settings.main_mask)
         figure, region = figures[index], regions[index]
         if figure is None or region is None:
             return PlacePreview(None, None, "not seen")
-        ratio = region.area_mm2 / self.indenter.area_mm2
+        area_ratio = region.area_mm2 / self.indenter.area_mm2
         band = overlap_grade(
-            figure.overlap_percent, ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio
+            figure.overlap_percent, area_ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio
         )
         return PlacePreview(figure.error_mm, figure.overlap_percent, band)

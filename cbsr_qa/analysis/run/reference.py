@@ -23,18 +23,20 @@ from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import reading_noise
 from cbsr_qa.plugin.interfaces import Reconstruction
 
-#: Share of flagged readings among the imaged ones above which a frame is lost as a whole.
-_LOST_SHARE = 0.25
-#: Channels are left out until at most this share of the frames is still affected by a flag.
-_TOUCHED_SHARE = 0.01
-_NAMED = 6  # readings named in a warning
-_LAST_FRAMES = 8  # of a run, in which a reading that stopped changing does not change
+#: Largest share of a frame's imaged readings that may be flagged; above it the whole frame is left out.
+_MAX_FLAGGED_SHARE = 0.25
+#: Largest share of frames that flags may still affect after channels were left out.
+_MAX_AFFECTED_SHARE = 0.01
+#: Most readings that a warning names.
+_MAX_NAMED_READINGS = 6
+#: A reading that got stuck during a run has the same value in this many frames at its end.
+_STILL_FRAMES = 8
 
 
 def find_unloaded_frames(record: RunRecord) -> FrameBlock:
-    """Frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
+    """Return the frames of the rested sheet: from the run's first ``MarkUnloaded`` to the press that follows.
 
-    Raise NumericsError if the run has none.
+    NumericsError if the run has none.
     """
     for phase in record.phases:
         frames = _select_unloaded(phase)
@@ -47,7 +49,10 @@ def find_unloaded_frames(record: RunRecord) -> FrameBlock:
 
 
 def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBlock, FrameBlock]:
-    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and of the reference."""
+    """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and of the reference.
+
+    NumericsError if there is none left for the reference.
+    """
     if len(frames) <= noise_floor_frames:
         raise NumericsError(
             f"{len(frames)} unloaded frames are too few: the noise floor needs {noise_floor_frames}, the reference at"
@@ -63,8 +68,8 @@ class UsableData:
 
     Parameters
     ----------
-    record : the run without lost frames, offsets taken out, spikes replaced by their neighbours in time.
-    corrected : the corrected record with all frames.
+    record : the run without lost frames; its offsets are subtracted, its spikes replaced by their neighbours in time.
+    corrected : the same corrections in the run with all its frames.
     readings : (drives, measures) bool, fit for imaging in every remaining frame.
     warnings : a sentence for every kind of reading or frame left out, beyond those of the pattern.
     """
@@ -88,11 +93,11 @@ def usable_data(record: RunRecord) -> UsableData:
     frames = join_frames([phase.frames for phase in record.phases if phase.frames is not None])
     pattern = record.sensor_type.pattern.usable()
     flagged = ((frames.flags & UNUSABLE) != 0) & pattern
-    lost_mask = flagged.sum(axis=(1, 2)) > _LOST_SHARE * pattern.sum()
+    lost_mask = flagged.sum(axis=(1, 2)) > _MAX_FLAGGED_SHARE * pattern.sum()
     left_out_mask = _choose_flagged_channels(flagged[~lost_mask])
     lost_mask |= (flagged & ~left_out_mask).any(axis=(1, 2))
     kept_frames = frames.select(~lost_mask)
-    stuck_mask = _find_stuck(kept_frames, pattern) & pattern & ~left_out_mask
+    stuck_mask = _find_stuck_readings(kept_frames, pattern) & pattern & ~left_out_mask
     silent, silent_remarks = _find_silent_readings(
         kept_frames, pattern & ~left_out_mask & ~stuck_mask, record.sensor_type.pattern
     )
@@ -123,19 +128,20 @@ def usable_data(record: RunRecord) -> UsableData:
     if offsets or spikes.any():
         all_voltages = frames.voltages.copy()
         all_voltages[~lost_mask] = voltages
-        corrected = _with(record, all_voltages, frames.time_s[:0])
+        corrected = _replace_voltages(record, all_voltages, frames.time_s[:0])
     if offsets or spikes.any() or lost_mask.any():
-        record = _with(record, voltages, frames.time_s[lost_mask])
+        record = _replace_voltages(record, voltages, frames.time_s[lost_mask])
     return UsableData(record, corrected, readings, tuple(remarks))
 
 
-def _find_stuck(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
+def _find_stuck_readings(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return readings, (drives, measures) bool, that never change, or stop changing before the run ends."""
     if not len(kept):
         return np.zeros_like(pattern)
     constant = np.ptp(kept.voltages, axis=0) == 0
     constant_mask = constant if not constant[pattern].all() else np.zeros_like(pattern)
-    # A reading that varies again is kept: if it has no noise in some stretch, it is weighed like a common one.
-    ends_still = np.ptp(kept.voltages[-_LAST_FRAMES:], axis=0) == 0
+    # A reading that varies again is kept. If it had no noise for a while, it gets the weight of a typical reading.
+    ends_still = np.ptp(kept.voltages[-_STILL_FRAMES:], axis=0) == 0
     stuck: NDArray[np.bool_] = constant_mask | (find_faults(kept, ScanKind.FULL).stuck & ends_still)
     return stuck
 
@@ -158,6 +164,7 @@ def _find_silent_readings(
 
 
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:
+    """Return voltages (n, drives, measures) without common offsets, and each offset with its first frame."""
     if len(voltages) < 2 or not readings.any():
         return voltages, ()
     used_voltages = voltages[:, readings]
@@ -184,21 +191,21 @@ def drop_weak_polarity(data: UsableData, unloaded: FrameBlock, modelled: Array) 
 def _choose_flagged_channels(flagged: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Choose channels to leave out, (drives, measures) bool, so that few of the frames (n, …) stay affected."""
     left_out_mask = np.zeros(flagged.shape[1:], dtype=np.bool_)
-    allowed = max(1.0, _TOUCHED_SHARE * len(flagged))
+    allowed = max(1.0, _MAX_AFFECTED_SHARE * len(flagged))
     while (flagged & ~left_out_mask).any(axis=(1, 2)).sum() > allowed:
         counts = np.where(left_out_mask, 0, flagged.sum(axis=0))
         left_out_mask |= counts == counts.max()
     return left_out_mask
 
 
-def _with(record: RunRecord, voltages: Array, lost_s: Array) -> RunRecord:
-    """Return the run with only its kept frames, their readings replaced."""
+def _replace_voltages(record: RunRecord, voltages: Array, lost_time_s: Array) -> RunRecord:
+    """Return the run without the frames at some times [s], and with other voltages (n, …) in the frames kept."""
     phases, first_frame = list[PhaseRecord](), 0
     for phase in record.phases:
         if phase.frames is None:
             phases.append(phase)
             continue
-        frames = phase.frames.select(~np.isin(phase.frames.time_s, lost_s))
+        frames = phase.frames.select(~np.isin(phase.frames.time_s, lost_time_s))
         end_frame = first_frame + len(frames)
         phases.append(replace(phase, frames=replace(frames, voltages=voltages[first_frame:end_frame])))
         first_frame = end_frame
@@ -208,14 +215,14 @@ def _with(record: RunRecord, voltages: Array, lost_s: Array) -> RunRecord:
 def _select_unloaded(phase: PhaseRecord) -> FrameBlock | None:
     if phase.frames is None or phase.unloaded_from_s is None:
         return None
-    every = (*phase.loads, *phase.loops)
-    presses = [load.press_start_s for load in every if load.press_start_s >= phase.unloaded_from_s]
-    return phase.frames.select_interval(phase.unloaded_from_s, min(presses, default=phase.ended_s))
+    loads = (*phase.loads, *phase.loops)
+    press_starts_s = [load.press_start_s for load in loads if load.press_start_s >= phase.unloaded_from_s]
+    return phase.frames.select_interval(phase.unloaded_from_s, min(press_starts_s, default=phase.ended_s))
 
 
 def name_readings(readings: NDArray[np.bool_]) -> str:
     """Name the first few of some readings, (drives, measures) bool."""
-    pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:_NAMED]]
+    pairs = [f"drive {drive} measure {measure}" for drive, measure in np.argwhere(readings)[:_MAX_NAMED_READINGS]]
     more = int(readings.sum()) - len(pairs)
     return ", ".join(pairs) + (f" and {more} more" if more else "")
 

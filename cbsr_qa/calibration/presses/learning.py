@@ -33,22 +33,23 @@ from cbsr_qa.domain.results.press_calibration import (
 from cbsr_qa.domain.sensor.electrodes import ElectrodeLayout
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Largest difference of a scale from one that errors of mounting and modelling explain.
-_SCALE_OFF: Final = 0.1
-#: Least extent of the presses on a sheet whose places are in millimetres.
-_SMALL_MM: Final = 1.0
+#: Largest difference of the scale from 1 that errors of mounting and modelling explain.
+_MAX_SCALE_ERROR: Final = 0.1
+#: Least extent of all presses; if it is smaller, their places are taken to be in another unit than millimetres.
+_MIN_EXTENT_MM: Final = 1.0
 #: Largest excess of a frame's mean square over that of its noise by chance, in standard deviations.
-_NOISE_ROOM: Final = 3.3
-#: Share of the errors of always guessing the middle above which readings are hardly informative.
-_POOR: Final = 0.6
-#: Share of the error of guessing, up to which places are learned; and from which on other orders of rows are tried.
-_LEARNED: Final = 0.9
-_DOUBTFUL: Final = 0.3
+_NOISE_DEVIATIONS: Final = 3.3
+#: Readings hardly tell a quantity if its error exceeds this share of the error of always guessing the median.
+_UNINFORMATIVE_SHARE: Final = 0.6
+#: Places are learned if their error is below this share of the error of guessing.
+_LEARNED_SHARE: Final = 0.9
+#: Other orders of the rows are tried if the error is above this share of the error of guessing.
+_DOUBTFUL_SHARE: Final = 0.3
 _MIRRORED: Final = (
     "the sheet is mirrored against its sensor type: it is seen from below, or its electrodes are numbered the other"
     " way round"
 )
-_BY_PLACE: Final = (
+_ORDERED_BY_PLACE: Final = (
     "presses were made in the order of their places: drift of the readings would look like another place, and presses"
     " left out would not show it; press in random order, or at some places again at the end"
 )
@@ -85,7 +86,7 @@ class PressesLearned:
     def place_learned(self) -> bool:
         """Whether presses left out are missed by clearly less than by guessing."""
         held_out = self.place.held_out
-        return held_out.mean_mm + 2 * held_out.stderr_mm < _LEARNED * self.guess_mm
+        return held_out.mean_mm + 2 * held_out.stderr_mm < _LEARNED_SHARE * self.guess_mm
 
 
 def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None) -> PressesLearned:
@@ -111,7 +112,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     clipped_share = estimate_clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead_readings.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
-    order = _check_electrode_order(replace(labelled, readings=readings), sheet)
+    order = _find_electrode_order(replace(labelled, readings=readings), sheet)
     registration = order.registered.registration
     if registration.trusted:
         check_inside(presses, registration)
@@ -128,15 +129,17 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     held_out = learned_place.held_out
     guess_mm = guess_error(place_mm[held_out.presses])
     row_order = None
-    if held_out.mean_mm > _DOUBTFUL * guess_mm:
+    if held_out.mean_mm > _DOUBTFUL_SHARE * guess_mm:
         tell("looking for rows out of step")
         row_order = find_row_order(readings.changes[used_mask], place_mm)
     quantities = {
-        name: _quantity(name, values[used_mask], learned_place, tell)
+        name: _learn_quantity(name, values[used_mask], learned_place, tell)
         for name, unit in PRESS_QUANTITIES.items()
         if (values := getattr(presses, f"{name}_{unit}")) is not None
     }
-    weak_findings = (words for name, quantity in quantities.items() for words in _hardly_told(name, quantity))
+    weak_findings = (
+        words for name, quantity in quantities.items() for words in _warn_of_poor_estimate(name, quantity)
+    )
     press_findings = (
         *far_from_their_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),
     )
@@ -147,16 +150,16 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         *list_ignored_columns(presses),
         *unused_electrodes,
         *dead_readings.findings,
-        *_range_findings(clipped_share),
+        *_warn_of_clipping(clipped_share),
         *press_findings,
     )
-    sheet_findings = *reading_findings, *_findings(order, clipped_share, radius_stated=labelled.radius_stated)
+    sheet_findings = *reading_findings, *_describe_sheet(order, clipped_share, radius_stated=labelled.radius_stated)
     findings = (
         *([] if row_order is None else [row_order.words]),
         *sheet_findings,
         *learned_place.warnings,
         *weak_findings,
-        *([_BY_PLACE] if labelled.follow_places() else []),
+        *([_ORDERED_BY_PLACE] if labelled.follow_places() else []),
     )
     modelled = _model_place(replace(labelled, readings=readings), sheet, order, learned_place.model.mixture.quantiles)
     left_out = zip(used_mask.tolist(), dead_readings.left_out, strict=True)
@@ -167,9 +170,9 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
 
 
 def noise_size(noise: Array) -> float:
-    """Root mean square of readings that noise (m,) alone exceeds in about one frame of a thousand."""
+    """Return the root mean square of readings that noise (m,) alone exceeds in about one frame of a thousand."""
     variance = noise**2
-    return float(np.sqrt(variance.mean() + _NOISE_ROOM * np.sqrt(2 * (variance**2).sum()) / len(noise)))
+    return float(np.sqrt(variance.mean() + _NOISE_DEVIATIONS * np.sqrt(2 * (variance**2).sum()) / len(noise)))
 
 
 def _learn_place(
@@ -204,7 +207,7 @@ def _learn_place(
 def _model_place(
     labelled: LabelledPresses, sheet: ModelledSheet, order: ElectrodeOrder, quantiles: Array
 ) -> ModelledPlace:
-    """Templates of the registered sheet, with the errors of the presses used to register it."""
+    """Return the templates of the registered sheet, with the errors of the presses that it was registered to."""
     readings, registered, lattice = labelled.readings, order.registered, sheet.lattice
     answers = answering_side(sheet, order.pairs, readings.changes).answers
     noise = 0.0 if readings.noise is None else float(np.sqrt((readings.noise[answers] ** 2).mean()))
@@ -215,7 +218,8 @@ def _model_place(
     return with_variance(model, found_mm - labelled.presses.place_mm, quantiles)
 
 
-def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> LearnedQuantity:
+def _learn_quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> LearnedQuantity:
+    """Learn force or depth from its values (n,) at the presses; CalibrationError if they are all the same."""
     if not np.ptp(values):
         raise CalibrationError(f"every press that changes a reading has the same {name}: {values[0]:g}")
     tell(f"learning the {name}")
@@ -231,10 +235,10 @@ def _quantity(name: str, values: Array, learned: PlaceLearned, tell: Tell) -> Le
     )
 
 
-def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:
-    """Remark on a quantity that is estimated hardly better than by its middle."""
+def _warn_of_poor_estimate(name: str, quantity: LearnedQuantity) -> Iterator[str]:
+    """Yield a warning if a quantity is estimated hardly better than by its median."""
     guessed = float(np.abs(quantity.values - np.median(quantity.values)).mean())
-    if quantity.error > _POOR * guessed:
+    if quantity.error > _UNINFORMATIVE_SHARE * guessed:
         unit = PRESS_QUANTITIES[name]
         yield (
             f"the readings hardly tell the {name}: presses left out are missed by {quantity.error:.2g} {unit}, where"
@@ -242,7 +246,11 @@ def _hardly_told(name: str, quantity: LearnedQuantity) -> Iterator[str]:
         )
 
 
-def _check_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
+def _find_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:
+    """Find the electrode order and register the sheet; the pose is not trusted if places seem to be in metres.
+
+    RecordingError if the places do not determine the pose.
+    """
     readings, presses = labelled.readings, labelled.presses
     try:
         order = find_electrode_order(
@@ -263,8 +271,8 @@ def _check_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> E
     return replace(order, registered=replace(order.registered, registration=registration))
 
 
-def _range_findings(clipped: float) -> Iterator[str]:
-    """Remarks on readings that are cut off."""
+def _warn_of_clipping(clipped: float) -> Iterator[str]:
+    """Yield a warning if a share of the readings is clipped."""
     if clipped:
         yield (
             f"{clipped:.1%} of the readings are clipped: they have the same largest or smallest value; lower the gain"
@@ -273,9 +281,9 @@ def _range_findings(clipped: float) -> Iterator[str]:
 
 
 def _warn_of_metres(place_mm: Array) -> str:
-    """Say that places are in another unit; empty where they seem to be in millimetres."""
+    """Return a warning if places (n, 2) seem to be in metres; empty if they seem to be in millimetres."""
     extent_mm = float(np.linalg.norm(np.ptp(place_mm, axis=0)))
-    if extent_mm >= _SMALL_MM:
+    if extent_mm >= _MIN_EXTENT_MM:
         return ""
     return (
         f"all presses lie within {extent_mm:.3g} mm: their places seem to be in metres; x_mm and y_mm are in"
@@ -283,15 +291,15 @@ def _warn_of_metres(place_mm: Array) -> str:
     )
 
 
-def _findings(order: ElectrodeOrder, clipped: float, *, radius_stated: bool) -> Sequence[str]:
-    """Remarks for a person on readings, electrodes and sheet."""
+def _describe_sheet(order: ElectrodeOrder, clipped: float, *, radius_stated: bool) -> Sequence[str]:
+    """Return findings in words on the electrodes' wiring, and on the pose and scale of the sheet."""
     registration = order.registered.registration
     if not registration.trusted:
         return (*order.registered.findings, f"{registration.why}; the place is learned from the presses alone")
     findings = [*order.registered.findings, *(f"check the wiring: {words}" for words in order.findings)]
     if registration.mirrored:
         findings.append(_MIRRORED)
-    if radius_stated and abs(registration.scale - 1) > max(3 * registration.scale_stderr, _SCALE_OFF):
+    if radius_stated and abs(registration.scale - 1) > max(3 * registration.scale_stderr, _MAX_SCALE_ERROR):
         why = f"the radius of {registration.radius_mm:.4g} mm or the unit of the places may be wrong"
         if clipped:
             why = "clipped readings make places seem nearer to the middle"

@@ -16,15 +16,16 @@ from cbsr_qa.domain.numbers import Array, Indices
 
 #: Row shifts that are tried.
 _SHIFTS: Final = (1, -1, 2, -2, 3, -3)
-#: Width of the kernel in 1 − cos of the angle between readings, and variance of noise, relative to the places'.
+#: Widths of the kernel that are tried, in 1 − cos of the angle between readings.
 _WIDTHS: Final = (0.03, 0.1, 0.3)
+#: Variances of the noise that are tried, relative to the variance of the places.
 _NOISES: Final = (0.01, 0.1)
-#: Largest number of presses of each end of the session that are used.
+#: Largest number of presses that are used from the start, and from the end, of a session.
 _MAX_PRESSES: Final = 250
-#: Share of the error, as labelled and of guessing, that an order of rows must leave at most to be named.
-_HELPS: Final = 0.75
-#: Fewest presses on either side of a lost row.
-_MARGIN: Final = 3
+#: An order of rows is reported if its error is at most this share of the error as labelled, and of that of guessing.
+_MAX_ERROR_SHARE: Final = 0.75
+#: Least number of presses before and after a row that is taken for lost.
+_MIN_BESIDE: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -34,7 +35,7 @@ class RowOrder:
     Parameters
     ----------
     words : what seems to have happened, and what to do.
-    gain_mm : by how much less the place of a press is missed, predicted from the others.
+    gain_mm : decrease of the mean error of a press's place, predicted from the other presses.
     """
 
     words: str
@@ -42,7 +43,7 @@ class RowOrder:
 
 
 def guess_error(place_mm: Array) -> float:
-    """Mean distance [mm] of places (n, 2) from their median: the error of guessing."""
+    """Return the mean distance [mm] of places (n, 2) from their median: the error of guessing."""
     return float(np.linalg.norm(place_mm - np.median(place_mm, axis=0), axis=1).mean())
 
 
@@ -54,9 +55,10 @@ def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
     rows = np.arange(len(changes))
     if len(rows) > 2 * _MAX_PRESSES:
         rows = np.concatenate([rows[:_MAX_PRESSES], rows[-_MAX_PRESSES:]])
-    inverses = [*_kernel_inverses(changes[rows])]
+    inverses = [*_invert_kernels(changes[rows])]
 
-    def miss(order: Indices) -> float:
+    def measure_error(order: Indices) -> float:
+        """Return the mean leave-one-out error [mm] of places in this order, for the best kernel."""
         places = place_mm[order[rows] % len(place_mm)]
         centred = places - places.mean(axis=0)
         return min(
@@ -64,40 +66,44 @@ def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
             for inverse in inverses
         )
 
-    present = miss(np.arange(len(changes)))
-    words, best = min(
-        ((words, miss(order)) for words, order in _orders(len(changes), rows)), key=lambda candidate: candidate[1]
+    labelled_error_mm = measure_error(np.arange(len(changes)))
+    words, best_error_mm = min(
+        ((words, measure_error(order)) for words, order in _list_orders(len(changes), rows)),
+        key=lambda candidate: candidate[1],
     )
-    if best > _HELPS * min(present, guess_error(place_mm)):
+    if best_error_mm > _MAX_ERROR_SHARE * min(labelled_error_mm, guess_error(place_mm)):
         return None
     return RowOrder(
-        f"readings and places seem to be out of step: {words}; a press is then missed by {best:.3g} mm instead of"
-        f" {present:.3g} mm",
-        present - best,
+        f"readings and places seem to be out of step: {words}; a press is then missed by {best_error_mm:.3g} mm"
+        f" instead of {labelled_error_mm:.3g} mm",
+        labelled_error_mm - best_error_mm,
     )
 
 
-def _kernel_inverses(changes: Array) -> Iterator[Array]:
+def _invert_kernels(changes: Array) -> Iterator[Array]:
     """Yield K⁻¹ (n, n) of readings (n, m), of several widths and levels of noise."""
     sizes = np.linalg.norm(changes, axis=1, keepdims=True)
     directions = changes / np.where(sizes > 0, sizes, 1.0)
-    apart = np.maximum(1.0 - directions @ directions.T, 0.0)
+    distances = np.maximum(1.0 - directions @ directions.T, 0.0)
     for width in _WIDTHS:
         for noise in _NOISES:
-            kernel = np.exp(-apart / width) + noise * np.eye(len(changes))
+            kernel = np.exp(-distances / width) + noise * np.eye(len(changes))
             yield np.asarray(np.linalg.inv(kernel), dtype=np.float64)
 
 
-def _orders(count: int, rows: Indices) -> Iterator[tuple[str, Indices]]:
-    """Yield orders of the labels' rows with what they mean; the row of each press's label, modulo their number."""
+def _list_orders(count: int, rows: Indices) -> Iterator[tuple[str, Indices]]:
+    """Yield orders of the labels' rows, each with its meaning in words.
+
+    An order is the row (n,) of the label of each press; rows beyond either end continue at the other.
+    """
     numbers = np.arange(count)
     for shift in _SHIFTS:
         side = "below" if shift > 0 else "above"
         rows_text = "row" if abs(shift) == 1 else "rows"
         yield f"places stand {abs(shift)} {rows_text} {side} their readings (--row-shift {shift})", numbers + shift
     yield "one of the tables is in the reverse order", numbers[::-1]
-    for before, row in zip(rows[_MARGIN - 1 :].tolist(), rows[_MARGIN:-_MARGIN].tolist(), strict=False):
-        late = numbers >= row
+    for before, row in zip(rows[_MIN_BESIDE - 1 :].tolist(), rows[_MIN_BESIDE:-_MIN_BESIDE].tolist(), strict=False):
+        from_row = numbers >= row
         which = f"about row {row + 1}" if row == before + 1 else f"a row from {before + 2} to {row + 1}"
-        yield f"the place of {which} is missing, and those below stand one row too high", numbers - late
-        yield f"the readings of {which} are missing, and those below stand one row too high", numbers + late
+        yield f"the place of {which} is missing, and those below stand one row too high", numbers - from_row
+        yield f"the readings of {which} are missing, and those below stand one row too high", numbers + from_row

@@ -53,9 +53,9 @@ class SettlingTime:
     ----------
     value_s : the last time the fitted curve leaves the band [s]; the window's length if censored;
         None if the fit was rejected.
-    censored : still outside the band at the end of the window: at least ``value_s``.
+    censored : whether it is still outside the band when the window ends: it takes at least ``value_s``.
     band : half width of the band in the trace's unit.
-    why : reason if there is no plain number.
+    why : reason if ``value_s`` is None or censored.
     """
 
     value_s: Annotated[float | None, Kept("time")]
@@ -66,7 +66,7 @@ class SettlingTime:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class RelaxationKernel:
-    """Common parameters of a sensor's relaxations: prediction of its next load, with uncertainty.
+    """Parameters common to all relaxations of a sensor, which predict its next load and the uncertainty of that.
 
     The change after a step is A K(t), K(t) = 1 + w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂), A the steady change. After a release it
     is R + D (w₁ e^(−t/τ₁) + w₂ e^(−t/τ₂)), D the change that was released and R what is left at the end.
@@ -78,9 +78,9 @@ class RelaxationKernel:
     time_constants_s : (k,) τ rising [s].
     covariance : (2 k, 2 k) covariance of (w, log τ): how well their means are known.
     scatter : (k,) standard deviation of each weight from load to load, beyond what noise explains.
-    scatter_freedom : degrees of freedom of these: how well the scatter itself is known.
+    scatter_freedom : degrees of freedom of ``scatter``: how well it is known.
     loads : number of loads that the kernel was learned from.
-    start_s : frames before this are not described by it (an unloading spike) [s].
+    start_s : time after the step from which on it holds; earlier frames may show an unloading spike [s].
     why : why there is no kernel; empty if there is one.
     """
 
@@ -103,11 +103,11 @@ class SteadyPrediction:
     ----------
     values : (m,) steady change A, or what a release leaves R, in the traces' unit.
     stderr : (m,) one standard error.
-    freedom : (m,) degrees of freedom of Student's t that makes intervals honest; infinite where the noise, which is
-        given, decides.
-    misfit : (m,) χ² of what was seen against the kernel, over its ``spare`` degrees of freedom: well above 1 the
-        load is no plain hold. 0 where nothing is to spare.
-    spare : (m,) frames − 1.
+    freedom : (m,) degrees of freedom of Student's t for intervals; infinite where only the noise, which is given,
+        contributes.
+    misfit : (m,) χ² of the observed frames against the kernel, over its ``spare`` degrees of freedom. Well above 1
+        the load is no plain hold. 0 where ``spare`` is 0.
+    spare : (m,) degrees of freedom of that χ²: frames − 1.
     """
 
     values: Array

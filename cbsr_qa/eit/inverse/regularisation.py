@@ -1,4 +1,4 @@
-"""Choice of λ: the criterion, its data, and the choices of the other criteria."""
+"""Choice of a regularisation parameter (λ, or a count): by one criterion, with the choices of all for comparison."""
 
 from collections.abc import Callable
 from dataclasses import dataclass
@@ -14,7 +14,7 @@ from cbsr_qa.eit.inverse.noise_figures import SMALL_CONTRAST, Evidence, evidence
 
 
 class Criterion(StrEnum):
-    """Criterion for a parameter that does not need the truth."""
+    """Criterion that chooses a parameter without knowing the true image."""
 
     NOISE_FIGURE = "noise-figure"  #: Adler et al. 2009 form; depends only on the model
     GCV = "gcv"  #: generalised cross-validation, Golub, Heath & Wahba 1979
@@ -22,7 +22,7 @@ class Criterion(StrEnum):
     DISCREPANCY = "discrepancy"  #: the residual is as large as the noise, Morozov 1966
 
 
-_SAID: Final = {
+_DESCRIPTIONS: Final = {
     Criterion.GCV: "generalised cross-validation",
     Criterion.L_CURVE: "corner of the L-curve",
     Criterion.DISCREPANCY: "residual as large as the noise (discrepancy principle)",
@@ -30,7 +30,7 @@ _SAID: Final = {
 
 
 class ParameterSearch(Protocol):
-    """A method's parameter on one problem, ready to be chosen."""
+    """Search for a reconstruction method's parameter on one problem."""
 
     @property
     def shown(self) -> Array:
@@ -43,15 +43,15 @@ class ParameterSearch(Protocol):
         ...
 
     def noise_figures(self, values: Array) -> Array:
-        """Noise figure at each of some values."""
+        """Return the noise figure at each of some values: (k,) both."""
         ...
 
     def for_noise_figure(self, target: float) -> float:
-        """Value with this noise figure; NumericsError with the reachable range otherwise."""
+        """Return the value with this noise figure; NumericsError, which names the reachable range, if none has it."""
         ...
 
     def choose_from_readings(self, criterion: Criterion, evidence: Evidence) -> float:
-        """Value by a criterion based on readings; NumericsError if it has none."""
+        """Return the value by a criterion based on readings; NumericsError if the criterion gives none."""
         ...
 
 
@@ -80,22 +80,33 @@ class Regularisation:
     def choose(
         self, problem: ImagingProblem, search_on: Callable[[ImagingProblem], ParameterSearch]
     ) -> tuple[float, str, ParameterCurve | None]:
-        """Choose the value; return it, the choice, and the alternatives.
+        """Choose the value.
 
         A noise figure, and any criterion without measured changes, uses the sensor type's nominal problem; measured
         changes are used with their own readings and noise.
 
-        NumericsError if the criterion gives no value.
+        Parameters
+        ----------
+        search_on : returns the method's search on a problem.
+
+        Returns
+        -------
+        The value, the choice in words, and the choices of all criteria; None for these if the value is given.
+
+        Raises
+        ------
+        NumericsError
+            If the criterion gives no value.
         """
         if self.criterion is None:
             assert self.given is not None
             return self.given, f"{self.given_as} given", None
-        looks = self.criterion is not Criterion.NOISE_FIGURE and problem.sample is not None
-        base = problem if looks else problem.nominal or problem
-        search, evidence = search_on(base), evidence_of(base)
+        uses_changes = self.criterion is not Criterion.NOISE_FIGURE and problem.sample is not None
+        searched_problem = problem if uses_changes else problem.nominal or problem
+        search, evidence = search_on(searched_problem), evidence_of(searched_problem)
         answers, refusals = [], {}
         for criterion in Criterion:
-            description = self._words(criterion, base, evidence)
+            description = self._describe(criterion, searched_problem, evidence)
             try:
                 if criterion is Criterion.NOISE_FIGURE:
                     value = search.for_noise_figure(self.noise_figure)
@@ -115,10 +126,10 @@ class Regularisation:
         curve = ParameterCurve(values, figures, tuple(answers), self.noise_figure, search.discrete)
         return chosen.value, chosen.words, curve
 
-    def _words(self, criterion: Criterion, problem: ImagingProblem, evidence: Evidence) -> str:
+    def _describe(self, criterion: Criterion, problem: ImagingProblem, evidence: Evidence) -> str:
         if criterion is Criterion.NOISE_FIGURE:
             return (
                 f"noise figure {self.noise_figure:.2f} (Adler et al. 2009) on the nominal model, central target of"
                 f" {2 * target_radius_mm(problem):.3g} mm and {SMALL_CONTRAST:.0%} contrast"
             )
-        return f"{_SAID[criterion]} on {evidence.words}"
+        return f"{_DESCRIPTIONS[criterion]} on {evidence.words}"

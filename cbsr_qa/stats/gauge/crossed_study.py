@@ -76,9 +76,9 @@ class Component:
     Parameters
     ----------
     variance, deviation : variance in the square of the values' unit, and its root in their unit.
-    variance_interval : None where the method has none.
+    variance_interval : interval of the variance; None where the method has none.
     percent_contribution, percent_study : percentages of the total variance and of the total deviation.
-    percent_tolerance : six deviations over the tolerance; None without one. So is its interval.
+    percent_tolerance, percent_tolerance_interval : six deviations over the tolerance; None without a tolerance.
     """
 
     variance: float
@@ -92,7 +92,7 @@ class Component:
 
 @dataclass(frozen=True, slots=True)
 class Components:
-    """Source of variation in a study."""
+    """Variance components of a study, by source of variation."""
 
     repeatability: Component
     reproducibility: Component
@@ -107,8 +107,9 @@ class Variation:
 
     Parameters
     ----------
-    categories : distinct ones, 1.41 × sensor / gauge deviation cut to a whole number, at least 1; None where the
-        gauge does not vary. ``categories_uncut`` is the value before that.
+    categories : number of distinct categories, 1.41 × sensor / gauge deviation, cut to a whole number of at least 1;
+        None where the gauge does not vary.
+    categories_uncut : the number before it is cut.
     notes : adjustments made, in sentences.
     """
 
@@ -128,18 +129,24 @@ def variation(
     tolerance: float | None,
     notes: tuple[str, ...],
 ) -> Variation:
-    """Return the shares of components; ``tolerance`` is the width of the metric's limits, None without two."""
+    """Return the shares of components.
+
+    Parameters
+    ----------
+    tolerance : width of the metric's limits, in its unit; None unless it has both.
+    notes : adjustments made, in sentences.
+    """
 
     def share_of(part: Variance) -> Component:
         deviation = sqrt(part.value)
-        of_tolerance = interval = None
+        percent_tolerance = interval = None
         if tolerance is not None:
-            of_tolerance = 100 * SIX * deviation / tolerance
+            percent_tolerance = 100 * SIX * deviation / tolerance
             if part.interval is not None:
                 low, high = (100 * SIX * sqrt(end) / tolerance for end in (part.interval.low, part.interval.high))
                 interval = Interval(low, high, part.interval.confidence)
-        contribution, study = 100 * part.value / total.value, 100 * deviation / sqrt(total.value)
-        return Component(part.value, deviation, part.interval, contribution, study, of_tolerance, interval)
+        contribution, study_share = 100 * part.value / total.value, 100 * deviation / sqrt(total.value)
+        return Component(part.value, deviation, part.interval, contribution, study_share, percent_tolerance, interval)
 
     variances = (repeatability, reproducibility, gauge, sensor, total)
     uncut = CATEGORY_FACTOR * sqrt(sensor.value / gauge.value) if gauge.value else None
@@ -155,13 +162,14 @@ def study(
     Parameters
     ----------
     sensors, stations : (N,) names of each run.
-    values : (N,); trials of one sensor on one station in their order.
+    values : (N,) the metric of each run; the trials of a sensor on a station keep their order.
     appraiser : noun for the stations: "station", or "operator" where people are compared.
 
     Raises
     ------
     NumericsError
-        Missing values, a sensor that is not on every station equally often, or fewer than two of anything.
+        If values are missing, a sensor was not measured on every station equally often, there are fewer than two
+        sensors, stations or trials, or repeated runs do not differ at all.
     """
     array = sample(values, "gauge study", least=8)
     if not len(sensors) == len(stations) == len(array):
@@ -227,7 +235,12 @@ def check_tolerance(tolerance: float | None) -> None:
 
 @dataclass(frozen=True, slots=True)
 class GaugeRange(Variation):
-    """A study by averages and ranges: the components, and the averages they rest on, in the values' unit."""
+    """A study by averages and ranges.
+
+    Parameters
+    ----------
+    mean_range, appraiser_range, sensor_range : R̄, X̄_diff and R_p, in the values' unit.
+    """
 
     mean_range: float
     appraiser_range: float
@@ -242,11 +255,11 @@ def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
     check_tolerance(tolerance)
     p, o, r = study.shape
     mean_range = float(np.ptp(study.values, axis=2).mean())
-    appraisers = float(np.ptp(study.values.mean(axis=(0, 2))))
-    sensors = float(np.ptp(study.values.mean(axis=(1, 2))))
+    appraiser_range = float(np.ptp(study.values.mean(axis=(0, 2))))
+    sensor_range = float(np.ptp(study.values.mean(axis=(1, 2))))
     repeatability = (mean_range / d2_d3(r)[0]) ** 2
-    reproducibility = clip_at_zero((appraisers / d2_star(o, 1)) ** 2 - repeatability / (p * r))
-    sensor = (sensors / d2_star(p, 1)) ** 2
+    reproducibility = clip_at_zero((appraiser_range / d2_star(o, 1)) ** 2 - repeatability / (p * r))
+    sensor = (sensor_range / d2_star(p, 1)) ** 2
     gauge = repeatability + reproducibility.value
     note = f"{study.appraiser}s differ no more than repeated runs do: reproducibility was set to zero"
     variances = (
@@ -258,5 +271,11 @@ def gauge_range(study: Study, *, tolerance: float | None = None) -> GaugeRange:
     )
     result = variation(*variances, tolerance=tolerance, notes=(note,) if reproducibility.estimate < 0 else ())
     return GaugeRange(
-        result.components, result.categories, result.categories_uncut, result.notes, mean_range, appraisers, sensors
+        result.components,
+        result.categories,
+        result.categories_uncut,
+        result.notes,
+        mean_range,
+        appraiser_range,
+        sensor_range,
     )

@@ -1,9 +1,9 @@
-"""Runs that a sensor has at one station, where sensors respond to stations differently.
+"""Repeated runs of a sensor at one station: where sensors respond to stations differently, their mean counts.
 
-The model knows a variance between sensors and one between runs. If a sensor reads differently at another station
+The model has a variance between sensors and one between runs. If a sensor reads differently at another station
 than in another run at the same one (sensor and station interact), two runs at one station tell less about stations
-than the model takes them for. Then the mean of a sensor's runs at a station takes their place: with equal numbers
-of runs the restricted likelihood is that of the model with the interaction.
+than the model assumes. Then the mean of a sensor's runs at a station replaces them: with equal numbers of runs the
+restricted likelihood is that of the model with the interaction.
 """
 
 import numpy as np
@@ -13,16 +13,20 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.crossings import Crossing
 from cbsr_qa.stats.mixed_model.reml import random_effect_sums
 
-#: Level of the test.
+#: Significance level of the F test of the interaction.
 LEVEL = 0.05
 
 
 def average_repeats(design: Crossing, values: Array) -> tuple[Crossing, Array] | None:
-    """Return the design and values (M,) of means of a sensor at a station; None where runs may count one by one.
+    """Average the runs of each sensor at each station, if sensors and stations interact.
 
     Parameters
     ----------
-    values : (N,), without missing ones.
+    values : (N,) one for each run, none missing.
+
+    Returns
+    -------
+    The design and values (M,) of the means; None where runs may count one by one.
     """
     # A visit: the runs of a sensor at a station, in a group.
     keys = (design.group * len(design.stations) + design.station) * len(design.sensors) + design.sensor

@@ -19,14 +19,14 @@ from cbsr_qa.stats.crossings import Crossing, IntArray, SparseArray
 from cbsr_qa.stats.mixed_model.model import Fit, Model, Scatter
 from cbsr_qa.stats.mixed_model.reml import random_effect_sums
 
-#: Level of the test.
+#: Significance level of the test of equal scatter.
 LEVEL = 0.01
-#: Fewest sensors of a group that tell how its sensors scatter.
-_FEWEST_SENSORS = 3
-#: Rounds of variances and effects.
-_ROUNDS = 3
-#: Least variance of a group relative to their mean: sensors that read the same would weigh without bound.
-_LEAST_VARIANCE = 1e-6
+#: Least number of sensors of a group from which its scatter is estimated.
+_MIN_SENSORS = 3
+#: Number of times that variances and effects are estimated from each other.
+_ITERATIONS = 3
+#: Least variance of a group relative to the mean of all: identical sensors would have infinite weight.
+_MIN_RELATIVE_VARIANCE = 1e-6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -35,8 +35,8 @@ class GroupVariances:
 
     Parameters
     ----------
-    shares : (g + 1, p, p) covariance of the effects by the group whose scatter it comes from; within sensors last.
-    freedoms : (g + 1,) degrees of freedom of these variances.
+    shares : (g + 1, p, p) parts of the effects' covariance, from the scatter of each group and, last, within sensors.
+    freedoms : (g + 1,) degrees of freedom of the variance behind each part.
     """
 
     shares: Array
@@ -53,7 +53,7 @@ def fit_scatter(alike: Fit, values: Array) -> Fit:
 
     Parameters
     ----------
-    alike : fit that takes groups to scatter alike.
+    alike : fit with the same scatter in all groups.
     values : (N,) of the runs of ``alike.design``.
     """
     if scatter_p_value(alike, values) >= LEVEL:
@@ -61,8 +61,8 @@ def fit_scatter(alike: Fit, values: Array) -> Fit:
     residuals = values - alike.design.columns() @ alike.effects[alike.design.independent_columns()]
     scale = float(np.abs(residuals).max())
     changes = np.zeros(int(alike.design.independent_columns().sum()))
-    for _ in range(_ROUNDS):
-        scatter = _variances(alike, residuals / scale - alike.design.columns() @ changes)
+    for _ in range(_ITERATIONS):
+        scatter = _estimate_variances(alike, residuals / scale - alike.design.columns() @ changes)
         shares = scatter_products(alike.design, alike.design.columns(), residuals / scale, scatter)
         products = shares.sum(axis=0)
         covariance = np.asarray(np.linalg.inv(products[:-1, :-1]), dtype=np.float64)
@@ -73,19 +73,22 @@ def fit_scatter(alike: Fit, values: Array) -> Fit:
         alike,
         effects=effects,
         covariance=scale**2 * covariance,
-        small=GroupVariances(covariance @ shares[:, :-1, :-1] @ covariance, _freedoms(alike.design)),
+        small=GroupVariances(covariance @ shares[:, :-1, :-1] @ covariance, _count_freedoms(alike.design)),
         scatter=scatter.scale(scale),
     )
 
 
 def scatter_p_value(alike: Fit, values: Array) -> float:
-    """Return Brown and Forsythe's p value of equal scatter of sensors; 1 where fewer than two groups tell."""
+    """Return Brown and Forsythe's p value of equal scatter of sensors.
+
+    1 if fewer than two groups have enough sensors, or no group's distances from its median differ.
+    """
     residuals = values - alike.design.columns() @ alike.effects[alike.design.independent_columns()]
-    means, _, group = _sensor_means(alike.design, residuals)
+    means, _, group = _average_by_sensor(alike.design, residuals)
     distances = [
         np.abs(means[group == index] - np.median(means[group == index]))
         for index in range(len(alike.design.groups))
-        if np.sum(group == index) >= _FEWEST_SENSORS
+        if np.sum(group == index) >= _MIN_SENSORS
     ]
     if len(distances) < 2 or all(np.ptp(distance) == 0 for distance in distances):
         return 1.0
@@ -113,18 +116,18 @@ def scatter_products(design: Crossing, columns: SparseArray, response: Array, sc
     return parts
 
 
-def _sensor_means(design: Crossing, residuals: Array) -> tuple[Array, IntArray, IntArray]:
-    """Mean residual of each sensor in each group, its number of runs, and its group."""
+def _average_by_sensor(design: Crossing, residuals: Array) -> tuple[Array, IntArray, IntArray]:
+    """Return the mean residual of each sensor in each group, its number of runs, and its group."""
     keys, place = np.unique(design.group * len(design.sensors) + design.sensor, return_inverse=True)
     counts = np.bincount(place)
     means: Array = np.bincount(place, residuals) / counts
     return means, counts, (keys // len(design.sensors)).astype(np.intp)
 
 
-def _variances(alike: Fit, residuals: Array) -> Scatter:
-    """Estimate the variances from residuals (N,) of the present effects; small groups get the mean of the others."""
+def _estimate_variances(alike: Fit, residuals: Array) -> Scatter:
+    """Estimate the variances from residuals (N,) of the current effects; small groups get the mean of the others."""
     design = alike.design
-    means, counts, group = _sensor_means(design, residuals)
+    means, counts, group = _average_by_sensor(design, residuals)
     run_variance = 0.0
     if alike.model is Model.MIXED:
         sums = random_effect_sums(design.columns(), residuals, design.sensor)
@@ -133,16 +136,16 @@ def _variances(alike: Fit, residuals: Array) -> Scatter:
     variances = np.full(len(design.groups), np.nan)
     for index in range(len(design.groups)):
         members = group == index
-        if np.sum(members) >= _FEWEST_SENSORS:
+        if np.sum(members) >= _MIN_SENSORS:
             mean_square = float(np.mean(means[members] ** 2)) / kept_share
             variances[index] = mean_square - run_variance * float(np.mean(1 / counts[members]))
-    typical = max(float(np.nanmean(variances)), _LEAST_VARIANCE)
+    typical = max(float(np.nanmean(variances)), _MIN_RELATIVE_VARIANCE)
     variances[np.isnan(variances)] = typical
-    return Scatter(run_variance, np.maximum(variances, _LEAST_VARIANCE * typical))
+    return Scatter(run_variance, np.maximum(variances, _MIN_RELATIVE_VARIANCE * typical))
 
 
-def _freedoms(design: Crossing) -> Array:
-    """Degrees of freedom of the variance of each group's sensors, and of runs of one sensor."""
+def _count_freedoms(design: Crossing) -> Array:
+    """Return the degrees of freedom (g + 1,) of the variance of each group's sensors, and of runs of one sensor."""
     sensors = np.array([len(np.unique(design.sensor[design.group == index])) for index in range(len(design.groups))])
     kept_share = 1 - int(design.independent_columns().sum()) / int(sensors.sum())
     within = len(design.group) - len(design.sensors)

@@ -34,10 +34,12 @@ from cbsr_qa.stats.samples import LEAST_SPREAD
 
 #: Level of the test of lack of fit.
 LEVEL = 0.05
-_LEAST_F = 1e-8
-#: Above this number of degrees of freedom an F has a mean.
-_LEAST_FREEDOM = 2.0
-_MOST_FREEDOM = 1e6
+#: Smallest F that counts: its logarithm must exist.
+_MIN_F = 1e-8
+#: An F has a mean if its denominator has more degrees of freedom than this.
+_MIN_FREEDOM_OF_MEAN = 2.0
+#: Degrees of freedom that stand for infinitely many.
+_MAX_FREEDOM = 1e6
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -49,10 +51,10 @@ class SessionMeans:
     means : (c,) β of the residuals of the additive fit, in the metric's unit.
     covariance : (c, c) of the means without sessions, A⁻¹, over σ²; Kenward and Roger's where sensors are random.
     variance : σ̂², from runs within sessions.
-    small : basis of the degrees of freedom; None where they are ``run_freedom``, whatever the contrast.
-    run_freedom : runs less sessions.
+    small : basis of the degrees of freedom; None where every contrast has ``run_freedom``.
+    run_freedom : runs minus sessions; where groups scatter differently, sensors minus sessions.
     sensors, residuals : (q,) names, and means of a sensor's residuals within sessions over their root mean square.
-    columns : (c, p) C.
+    columns : (c, p) C: the columns of groups and stations, one row per session.
     """
 
     means: Array
@@ -78,7 +80,7 @@ class SessionMeans:
         return Departure(
             statistic=statistic,
             freedom=len(variances),
-            run_freedom=_denominator_freedom(freedoms),
+            run_freedom=_combine_freedoms(freedoms),
             gain=float(np.mean(1 / variances)),
         )
 
@@ -99,10 +101,15 @@ class Departure:
     gain: float
 
 
-def _denominator_freedom(freedoms: Array) -> float:
-    """Return the degrees of freedom of an F of independent contrasts, of theirs (d,) (Fai & Cornelius 1996)."""
+def _combine_freedoms(freedoms: Array) -> float:
+    """Return the degrees of freedom of the denominator of an F of independent contrasts (Fai & Cornelius 1996).
+
+    Parameters
+    ----------
+    freedoms : (d,) of each contrast's variance.
+    """
     least = float(freedoms.min())
-    if least <= _LEAST_FREEDOM or float(np.ptp(freedoms)) <= 1e-9 * least:
+    if least <= _MIN_FREEDOM_OF_MEAN or float(np.ptp(freedoms)) <= 1e-9 * least:
         return least
     expected = float(np.sum(freedoms / (freedoms - 2)))
     return 2 * expected / (expected - len(freedoms))
@@ -126,7 +133,7 @@ class SessionVariance:
     slope : (p, p) derivative of the covariance by ρ, over σ².
     share : ρ + 1/k, by which relative errors of the session ratio act.
     reach : (p, c) effects by the means of sessions.
-    means : what they are reached from, and the degrees of freedom of σ².
+    means : means of the sessions, and basis of the degrees of freedom of σ².
     session_freedom : degrees of freedom of 1 + ρk.
     scatter : basis of those of σ² where groups scatter differently; else None.
     """
@@ -149,7 +156,10 @@ class SessionVariance:
 
 
 def fit_session_means(additive: Fit, values: Array) -> SessionMeans | None:
-    """Fit the means of sessions; None without a departure to see, or if too few sensors differ within sessions.
+    """Fit the means of sessions.
+
+    None if the additive model has as many parameters as there are sessions, so that no departure from it can show, or
+    if too few sensors differ within sessions.
 
     Parameters
     ----------
@@ -218,7 +228,8 @@ class LackOfFit:
 
     Parameters
     ----------
-    p_value : probability of such departures without sessions, of all metrics together or of one alone (Bonferroni).
+    p_value : probability of departures as large if sessions have no effect: of all metrics together, or of one alone
+        (Bonferroni).
     ratios : 1 + ρk of each metric, in their order; empty where lack of fit is not shown.
     """
 
@@ -239,24 +250,24 @@ def lack_of_fit(found: Sequence[Departure], correlations: Array) -> LackOfFit:
     found : departures of at least one metric.
     correlations : (K, K) of the metrics' values within sessions.
     """
-    departures = np.maximum([departure.statistic for departure in found], _LEAST_F)
+    departures = np.maximum([departure.statistic for departure in found], _MIN_F)
     freedoms = np.array([departure.freedom for departure in found], dtype=float)
     error_freedoms = np.array([departure.run_freedom for departure in found])
     own_p_values = np.asarray(stats.f.sf(departures, freedoms, error_freedoms), dtype=np.float64)
     independent = len(found) ** 2 / float(np.sum(correlations**2))
-    mean = float(freedoms @ departures / freedoms.sum())
+    joint_departure = float(freedoms @ departures / freedoms.sum())
     joint_freedom = independent * float(freedoms.mean())
-    joint_p_value = float(stats.f.sf(mean, joint_freedom, independent * float(error_freedoms.mean())))
+    joint_p_value = float(stats.f.sf(joint_departure, joint_freedom, independent * float(error_freedoms.mean())))
     p_value = min(1.0, 2 * min(joint_p_value, len(found) * float(own_p_values.min())))
     if p_value >= LEVEL:
         return LackOfFit(p_value, ())
-    prior, prior_freedom = _common_ratio(departures, freedoms, error_freedoms)
-    moderated = (prior_freedom * prior + freedoms * departures) / (prior_freedom + freedoms)
-    moderated_freedoms = np.minimum(prior_freedom + freedoms, joint_freedom)
-    is_apart = len(found) * own_p_values < LEVEL
-    is_apart &= departures > moderated
-    ratios = np.where(is_apart, departures, moderated)
-    ratio_freedoms = np.where(is_apart, freedoms, moderated_freedoms)
+    common_ratio, common_freedom = _estimate_common_ratio(departures, freedoms, error_freedoms)
+    moderated = (common_freedom * common_ratio + freedoms * departures) / (common_freedom + freedoms)
+    moderated_freedoms = np.minimum(common_freedom + freedoms, joint_freedom)
+    keeps_own = len(found) * own_p_values < LEVEL
+    keeps_own &= departures > moderated
+    ratios = np.where(keeps_own, departures, moderated)
+    ratio_freedoms = np.where(keeps_own, freedoms, moderated_freedoms)
     return LackOfFit(
         p_value,
         tuple(
@@ -267,7 +278,7 @@ def lack_of_fit(found: Sequence[Departure], correlations: Array) -> LackOfFit:
 
 
 def correlate(metrics: Sequence[SessionMeans]) -> Array:
-    """Return the correlations (K, K) of metrics between sensors of a session; those without a value count as zero."""
+    """Return the correlations (K, K) of metrics over sensors within sessions; a missing value counts as zero."""
     names = dict.fromkeys(name for metric in metrics for name in metric.sensors)
     places = {name: index for index, name in enumerate(names)}
     residuals = np.zeros((len(metrics), len(places)))
@@ -279,37 +290,37 @@ def correlate(metrics: Sequence[SessionMeans]) -> Array:
     return correlations
 
 
-def _common_ratio(departures: Array, freedoms: Array, error_freedoms: Array) -> tuple[float, float]:
+def _estimate_common_ratio(departures: Array, freedoms: Array, error_freedoms: Array) -> tuple[float, float]:
     """Return the common ratio of the metrics and its degrees of freedom d₀ (Smyth 2004, section 6.2)."""
     if len(departures) < 2:
         return 1.0, 0.0
-    logs = np.log(departures) - _mean_log(freedoms) + _mean_log(error_freedoms)
+    logs = np.log(departures) - _expect_log(freedoms) + _expect_log(error_freedoms)
     excess = float(np.var(logs, ddof=1)) - float(
         np.mean(special.polygamma(1, freedoms / 2) + special.polygamma(1, error_freedoms / 2))
     )
     if excess <= 0:
-        return float(freedoms @ departures / freedoms.sum()), _MOST_FREEDOM
+        return float(freedoms @ departures / freedoms.sum()), _MAX_FREEDOM
 
-    def miss(log_half: float) -> float:
+    def subtract_excess(log_half: float) -> float:
         return float(special.polygamma(1, np.exp(log_half))) - excess
 
-    half = (
-        float(np.exp(optimize.brentq(miss, -20.0, log(_MOST_FREEDOM / 2))))
-        if miss(log(_MOST_FREEDOM / 2)) < 0
+    half_freedom = (
+        float(np.exp(optimize.brentq(subtract_excess, -20.0, log(_MAX_FREEDOM / 2))))
+        if subtract_excess(log(_MAX_FREEDOM / 2)) < 0
         else inf
     )
-    freedom = min(2 * half, _MOST_FREEDOM)
-    return float(np.exp(np.mean(logs) + _mean_log(np.array([freedom]))[0])), freedom
+    freedom = min(2 * half_freedom, _MAX_FREEDOM)
+    return float(np.exp(np.mean(logs) + _expect_log(np.array([freedom]))[0])), freedom
 
 
-def _mean_log(freedoms: Array) -> Array:
+def _expect_log(freedoms: Array) -> Array:
     """Return the expected logarithm of χ²_f/f."""
     logs: Array = special.digamma(freedoms / 2) - np.log(freedoms / 2)
     return logs
 
 
 def add_sessions(additive: Fit, sessions: SessionMeans, ratio: SessionRatio) -> Fit:
-    """Return the fit with sessions as random effect, of the variance that the ratio gives."""
+    """Return the fit with sessions as a random effect; the session ratio 1 + ρk determines their variance."""
     gain = sessions.departure().gain
     rho = (ratio.value - 1) / gain
     weights = np.linalg.inv(sessions.covariance + rho * np.eye(len(sessions.means)))
@@ -318,7 +329,7 @@ def add_sessions(additive: Fit, sessions: SessionMeans, ratio: SessionRatio) -> 
     reach = covariance @ weighted
     effects = additive.effects.copy()
     effects[additive.design.independent_columns()] += reach @ sessions.means
-    spread = sqrt(rho * sessions.variance)
+    session_deviation = sqrt(rho * sessions.variance)
     return replace(
         additive,
         model=Model.SESSIONS,
@@ -333,5 +344,5 @@ def add_sessions(additive: Fit, sessions: SessionMeans, ratio: SessionRatio) -> 
             session_freedom=ratio.freedom,
             scatter=None if additive.scatter is None else additive.small,
         ),
-        session_deviation=spread,
+        session_deviation=session_deviation,
     )

@@ -39,17 +39,17 @@ from cbsr_qa.store.sync.queue import Entry, confirm, list_held, mark, name_unrea
 from cbsr_qa.store.sync.storing import RowRefusedError, WaitsError, store_item, store_parcel
 from cbsr_qa.store.tables.runs import RunRow
 
-#: Entries that are sent before the states of further runs at the centre are read.
-_BATCH: Final = 64
-#: Ends what says that the centre lost something.
-_OR_ANOTHER: Final = ": it lost that, or is another database than the one that confirmed it; it was sent again"
-#: How often a run is tried that another sender of the same run overtook.
+#: Number of entries for whose runs the centre's states are read at once.
+_BATCH_SIZE: Final = 64
+#: End of every sentence that says that the centre lost something.
+_SENT_AGAIN: Final = ": it lost that, or is another database than the one that confirmed it; it was sent again"
+#: Number of tries to send a run, of which another process may send rows meanwhile.
 _MAX_TRIES: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
 class Lost:
-    """Something that the centre had confirmed, and had no longer, or not all of, when it was looked at again."""
+    """Something that the centre had confirmed and later lacked, wholly or in part."""
 
     kind: str
     item: str
@@ -58,7 +58,7 @@ class Lost:
 
 @dataclass(frozen=True, slots=True)
 class Added:
-    """A run of which the centre has rows that this database does not have, or all of it."""
+    """A run of which the centre has rows, or everything, that this database does not have."""
 
     run: str
     why: str
@@ -72,8 +72,9 @@ class Sent:
     ----------
     items : entries of which the centre took rows, ``runs`` of them runs; new and further rows alike.
     compared : runs of which the centre had rows: those were compared at both ends.
-    rows, size : stored at the centre [rows, bytes of arrays and files].
-    quarantined, blocked : refused, and put back until what they refer to is at the centre.
+    rows, size : number of rows, and bytes of arrays and files, stored at the centre.
+    quarantined : entries that were refused.
+    blocked : entries that wait until what they refer to is at the centre.
     notes : runs that the centre has more than this database, in words.
     lost : what the centre had lost, and has again.
     added : runs of which the centre has rows that this database does not have, or that are there alone.
@@ -106,7 +107,7 @@ def send_waiting(
     Parameters
     ----------
     who : names this process to others that want to send from the same database, and the sender at the centre.
-    progress : called with entries done, their number, and the totals.
+    progress : called after each entry with the number of entries done, of all entries, and the totals so far.
     compare_since : compare everything from this day on (UTC) with the centre's, also what was sent long ago.
 
     Raises
@@ -128,8 +129,8 @@ def send_waiting(
         for entry in list_held(station):
             if entry.state == EntryState.LET_GO and (entry.kind, entry.item) in refused:
                 settle(centre, entry.kind, entry.item)
-        for first in range(0, len(entries), _BATCH):
-            batch = entries[first : first + _BATCH]
+        for first in range(0, len(entries), _BATCH_SIZE):
+            batch = entries[first : first + _BATCH_SIZE]
             central_tails = tails(centre, [entry.item for entry in batch if entry.kind == Kind.RUN])
             for done, entry in enumerate(batch, start=first + 1):
                 stored = _send(station, centre, entry, central_tails, missing, sent)
@@ -162,7 +163,7 @@ def _send(
 ) -> bool:
     """Send one entry; return whether the centre has it now."""
     gap = missing.get(entry.item) if entry.kind == Kind.RUN else None
-    tail, rows = central_tails.get(entry.item, NOTHING), sent.rows
+    tail, rows_before = central_tails.get(entry.item, NOTHING), sent.rows
     try:
         if gap is not None:
             raise AlteredError(gap.words)
@@ -174,15 +175,15 @@ def _send(
         mark(station, entry.kind, entry.item, EntryState.WAITING, error.reason)
         sent.blocked.append(entry)
         if entry.kind == Kind.RUN:  # runs that were begun after it are sent
-            run, name = _names(station, entry)
-            refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
+            run, station_name = _find_origin(station, entry)
+            refuse(centre, kind=entry.kind, item=entry.item, run=run, station=station_name, error=error)
     except (AlteredError, RowRefusedError, OddCellError) as error:
-        run, name = (gap.run, gap.station) if gap is not None else _names(station, entry)
-        refuse(centre, kind=entry.kind, item=entry.item, run=run, station=name, error=error)
+        run, station_name = (gap.run, gap.station) if gap is not None else _find_origin(station, entry)
+        refuse(centre, kind=entry.kind, item=entry.item, run=run, station=station_name, error=error)
         mark(station, entry.kind, entry.item, EntryState.QUARANTINED, error.reason)
         sent.quarantined.append(entry)
     else:
-        if sent.rows > rows and (why := _describe_loss(entry, tail)):
+        if sent.rows > rows_before and (why := _describe_loss(entry, tail)):
             sent.lost.append(Lost(entry.kind, entry.item, why))
         return True
     return False
@@ -193,27 +194,27 @@ def _describe_loss(entry: Entry, tail: Tail | None) -> str:
 
     Parameters
     ----------
-    tail : where a run stood at the centre before more of it was sent.
+    tail : last link of a run at the centre before more of it was sent.
     """
     if not entry.sent:
         return ""
     if entry.kind != Kind.RUN or tail == NOTHING:
-        return f"the centre had confirmed it and did not have it{_OR_ANOTHER}"
+        return f"the centre had confirmed it and did not have it{_SENT_AGAIN}"
     if tail is None:  # without a chain: nothing counts its parts
-        return f"the centre had confirmed it and lacked rows of it{_OR_ANOTHER}"
+        return f"the centre had confirmed it and lacked rows of it{_SENT_AGAIN}"
     had = tail.number + 1
     return (
-        "" if had >= entry.sent else f"the centre had confirmed {entry.sent} links of it and had {had}{_OR_ANOTHER}"
+        "" if had >= entry.sent else f"the centre had confirmed {entry.sent} links of it and had {had}{_SENT_AGAIN}"
     )
 
 
 def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
-    """Send what the centre lacks of a run; again from where it stands if somebody else sent rows of it meanwhile."""
-    rows = sent.rows
+    """Send what the centre lacks of a run; again from its new state there if somebody else sent rows meanwhile."""
+    rows_before = sent.rows
     for tries_left in reversed(range(_MAX_TRIES)):
         try:
-            _send_rest(station, centre, entry, tail, sent)
-            new = sent.rows > rows
+            _send_missing_rows(station, centre, entry, tail, sent)
+            new = sent.rows > rows_before
             sent.items, sent.runs = sent.items + new, sent.runs + new
             return
         except (AlteredError, RowRefusedError):
@@ -223,7 +224,11 @@ def _send_run(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, 
             tail = tail_now
 
 
-def _send_rest(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
+def _send_missing_rows(station: Engine, centre: Engine, entry: Entry, tail: Tail | None, sent: Sent) -> None:
+    """Send the rows of a run that follow the centre's tail, and compare those before it if the run has ended.
+
+    AlteredError if the run is not in this database, or differs from what the centre has.
+    """
     run = entry.item
     with reading(station) as connection:
         row = connection.execute(select(RunRow.chain).where(RunRow.run == run)).one_or_none()
@@ -291,8 +296,8 @@ def _send_item(station: Engine, centre: Engine, entry: Entry, sent: Sent) -> Non
     sent.rows += sum(map(len, item.rows.values())) if new else 0
 
 
-def _names(station: Engine, entry: Entry) -> tuple[str | None, str]:
-    """Run and station of what was refused; no station where its row cannot be read."""
+def _find_origin(station: Engine, entry: Entry) -> tuple[str | None, str]:
+    """Return the run and the name of the station of a refused entry; the name is empty if it cannot be read."""
     run = entry.item if entry.kind == Kind.RUN else None
     with suppress(OddCellError), reading(station) as connection:
         if run is not None:

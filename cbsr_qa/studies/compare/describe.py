@@ -1,4 +1,4 @@
-"""Each group by itself: yields, distributions, capability, and failures."""
+"""What each group of sensors shows by itself: yields, distributions, capability, and failures."""
 
 from collections import Counter
 from collections.abc import Sequence
@@ -20,7 +20,7 @@ from cbsr_qa.studies.compare.terms import Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, OfMetric
 from cbsr_qa.studies.selection import BY_OPERATOR
 
-#: Shares of sensors below a quantile.
+#: Quantiles of a distribution that are stated, as the share of sensors below each.
 QUANTILES: Final = (0.05, 0.25, 0.5, 0.75, 0.95)
 
 
@@ -38,7 +38,7 @@ class Group:
 
     Parameters
     ----------
-    n, runs : number of sensors and runs that count.
+    n, runs : number of sensors and number of runs that count.
     passed, first_pass_yield : shares of sensors, 0 to 1, with Wilson's intervals; None if no sensor was judged.
     not_measured, not_judged : sensors whose deciding run could not measure a limited quantity, or had no limits.
     """
@@ -63,9 +63,10 @@ class Distribution(OfMetric):
 
     Parameters
     ----------
-    deviation : None for one sensor.
-    quantiles : share of :data:`QUANTILES` → value; empty without values.
-    capability : None for the reason ``no_capability``.
+    n : number of sensors with a value.
+    mean, deviation, median : in the metric's unit; ``deviation`` is None for one sensor.
+    quantiles : value at each share of :data:`QUANTILES`, which is the key; empty without values.
+    no_capability : reason if ``capability`` is None.
     """
 
     group: str
@@ -83,12 +84,16 @@ def groups_of(
     runs: Sequence[RunLine], grouping: Grouping, values: Sequence[MetricValues], terms: Terms
 ) -> list[Group]:
     """Describe every group."""
-    failing = [(value.key.label, value.failed) for value in values if value.failed.any()]
-    return [_group(name, runs, grouping, failing, terms) for name in grouping.names]
+    failed_by_metric = [(metric.key.label, metric.failed) for metric in values if metric.failed.any()]
+    return [_describe_group(name, runs, grouping, failed_by_metric, terms) for name in grouping.names]
 
 
-def _group(
-    name: str, runs: Sequence[RunLine], grouping: Grouping, failing: Sequence[tuple[str, np.ndarray]], terms: Terms
+def _describe_group(
+    name: str,
+    runs: Sequence[RunLine],
+    grouping: Grouping,
+    failed_by_metric: Sequence[tuple[str, np.ndarray]],
+    terms: Terms,
 ) -> Group:
     tests = grouping.tests[name]
     members = [index for indices in tests.values() for index in indices]
@@ -96,22 +101,24 @@ def _group(
     outcomes = [runs[index].verdict for index in deciding_runs]
     failed_runs = np.array([index for index in deciding_runs if runs[index].verdict not in PASSED], dtype=np.intp)
     failures = Counter(
-        {label: int(failed[failed_runs].sum()) for label, failed in failing if failed[failed_runs].any()}
+        {label: int(failed[failed_runs].sum()) for label, failed in failed_by_metric if failed[failed_runs].any()}
     )
     if operator_failures := sum(
         runs[index].verdict is Outcome.FAIL and runs[index].outcome is not Outcome.FAIL for index in failed_runs
     ):
         failures[BY_OPERATOR] = operator_failures
-    passed = _yield(outcomes, terms)
-    first_pass = _yield([runs[decides(runs, indices, Policy.FIRST)].verdict for indices in tests.values()], terms)
+    passed, passed_interval = _estimate_yield(outcomes, terms)
+    first_pass, first_pass_interval = _estimate_yield(
+        [runs[decides(runs, indices, Policy.FIRST)].verdict for indices in tests.values()], terms
+    )
     return Group(
         name=name,
         n=len(tests),
         runs=len(members),
-        passed=passed[0],
-        yield_interval=passed[1],
-        first_pass_yield=first_pass[0],
-        first_pass_yield_interval=first_pass[1],
+        passed=passed,
+        yield_interval=passed_interval,
+        first_pass_yield=first_pass,
+        first_pass_yield_interval=first_pass_interval,
         not_measured=outcomes.count(Outcome.NOT_MEASURED),
         not_judged=outcomes.count(Outcome.NOT_JUDGED),
         stations=tuple(sorted({runs[index].station for index in members})),
@@ -120,7 +127,8 @@ def _group(
     )
 
 
-def _yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | None, Interval | None]:
+def _estimate_yield(outcomes: Sequence[Outcome | None], terms: Terms) -> tuple[float | None, Interval | None]:
+    """Return the share of judged sensors that passed, with Wilson's interval; None for both if none was judged."""
     passed = sum(outcome in PASSED for outcome in outcomes)
     count = passed + outcomes.count(Outcome.FAIL)
     if terms.quarantine is Quarantine.FAILED:
@@ -140,7 +148,7 @@ def distribution(
         return Distribution(*metric.identity, name, 0, no_capability="nothing was measured")
     moments = summary(values, metric.key.label)
     quantiles = {probability: quantile(values, probability, confidence=terms.confidence) for probability in QUANTILES}
-    index, why = _capability(metric, runs, indices, terms)
+    group_capability, why = _estimate_capability(metric, runs, indices, terms)
     return Distribution(
         *metric.identity,
         group=name,
@@ -150,25 +158,25 @@ def distribution(
         median=quantiles[0.5].value,
         median_interval=quantiles[0.5].interval,
         quantiles={f"{probability:g}": estimate.value for probability, estimate in quantiles.items()},
-        capability=index,
+        capability=group_capability,
         no_capability=why,
     )
 
 
-def _capability(
+def _estimate_capability(
     metric: MetricValues, runs: Sequence[RunLine], indices: IntArray, terms: Terms
 ) -> tuple[Capability | None, str | None]:
-    """Capability of the values judged: of several values per run, those nearest to each limit."""
+    """Return the capability of the judged values, or the reason for none; of several per run the worst ones count."""
     if not metric.limited:
         return None, "no limit"
     try:
         if metric.lower is None or metric.upper is None or metric.per_run == 1:
             limits = {"lower": metric.lower, "upper": metric.upper, "confidence": terms.confidence}
             worst = metric.most if metric.lower is None else metric.least
-            members = _subgroups(metric.mean if metric.per_run == 1 else worst, runs, indices)
+            members = _split_by_batch_and_station(metric.mean if metric.per_run == 1 else worst, runs, indices)
             return capability(members, what=metric.key.label, **limits), None  # type: ignore[arg-type]
         return capability_of_extremes(
-            *(_subgroups(values, runs, indices) for values in (metric.least, metric.most)),
+            *(_split_by_batch_and_station(values, runs, indices) for values in (metric.least, metric.most)),
             lower=metric.lower,
             upper=metric.upper,
             confidence=terms.confidence,
@@ -178,7 +186,8 @@ def _capability(
         return None, error.reason
 
 
-def _subgroups(values: Array, runs: Sequence[RunLine], indices: IntArray) -> list[list[float]]:
+def _split_by_batch_and_station(values: Array, runs: Sequence[RunLine], indices: IntArray) -> list[list[float]]:
+    """Return the values of some runs by batch and station; all in one subgroup if none of these has two."""
     subgroups: dict[tuple[str, str], list[float]] = {}
     for index, value in zip(indices.tolist(), values[indices].tolist(), strict=True):
         subgroups.setdefault((runs[index].batch, runs[index].station), []).append(value)

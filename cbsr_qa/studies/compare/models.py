@@ -1,4 +1,4 @@
-"""Models of metrics: each by itself, then all together for what disturbs them alike."""
+"""Models of metrics: each is fitted by itself, then all are tested together for disturbances common to them."""
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
@@ -15,14 +15,14 @@ from cbsr_qa.stats.mixed_model.repeats import average_repeats
 from cbsr_qa.stats.mixed_model.scatter import fit_scatter
 from cbsr_qa.stats.mixed_model.sessions import SessionMeans, add_sessions, correlate, fit_session_means, lack_of_fit
 
-_AVERAGED: Final = (
+_AVERAGED_NOTE: Final = (
     "sensors read more differently at other stations than in repeated runs: the mean of a sensor's runs at a station "
     "counts once"
 )
-_SCATTER: Final = (
+_SCATTER_NOTE: Final = (
     "{low} scatters least and {high} most, {times:.2g} times as much: each is weighted by its own scatter"
 )
-_SESSIONS: Final = (
+_SESSIONS_NOTE: Final = (
     "groups differ from station to station by more than their sensors explain (lack of fit, p = {p:.1g}): intervals "
     "include a deviation of {deviation:.2g} between a group's sessions at stations"
 )
@@ -34,8 +34,9 @@ class Fitted:
 
     Parameters
     ----------
-    of_stations : whether its stations are the compared groups.
-    sessions : means of groups at stations; None where they leave no departure from the model to see.
+    fit : the fitted model; None for the reason ``why``.
+    of_stations : whether the compared groups are the stations.
+    sessions : means of groups at stations; None where no departure from the model can show.
     """
 
     fit: Fit | None
@@ -52,7 +53,14 @@ class Fitted:
 
 
 def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) -> Fitted:
-    """Fit the model to the runs (N,) that have a value; NaN where missing."""
+    """Fit the model of one metric to the runs that have a value.
+
+    Parameters
+    ----------
+    values : (N,) one for each run of ``design``; NaN where missing.
+    what : name of the metric, for messages.
+    of_stations : whether the compared groups are the stations.
+    """
     has_value = ~np.isnan(values)
     if not has_value.any():
         return Fitted(None, "nothing was measured", of_stations)
@@ -62,18 +70,18 @@ def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) 
     try:
         if averaged := average_repeats(design, values):
             design, values = averaged
-            notes.append(_AVERAGED)
+            notes.append(_AVERAGED_NOTE)
         alike = fit(design, values, what)
         if len(alike.design.group) < len(values):  # runs of a sensor cannot be told apart: the first counts
             values = values[design.first_runs()]
-        fitted = fit_scatter(alike, values)
-        if fitted.scatter is not None:
-            variances, names = fitted.scatter.sensor_variances, fitted.design.groups
+        final_fit = fit_scatter(alike, values)
+        if final_fit.scatter is not None:
+            variances, names = final_fit.scatter.sensor_variances, final_fit.design.groups
             low, high = int(np.argmin(variances)), int(np.argmax(variances))
             times = float(np.sqrt(variances[high] / variances[low]))
-            notes.append(_SCATTER.format(low=names[low], high=names[high], times=times))
-        fitted = replace(fitted, notes=(*fitted.notes, *notes))
-        return Fitted(fitted, "", of_stations, fit_session_means(fitted, values))
+            notes.append(_SCATTER_NOTE.format(low=names[low], high=names[high], times=times))
+        final_fit = replace(final_fit, notes=(*final_fit.notes, *notes))
+        return Fitted(final_fit, "", of_stations, fit_session_means(final_fit, values))
     except NumericsError as error:
         return Fitted(None, str(error).replace("\n", "; "), of_stations)
 
@@ -81,7 +89,7 @@ def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) 
 def include_sessions(models: Sequence[Fitted]) -> list[Fitted]:
     """Test the models of all metrics together for lack of fit, and add sessions to them where it is shown.
 
-    A session is a group at a station: what was particular to it then, in all metrics or most.
+    A session is a group at a station: conditions peculiar to it disturb all metrics, or most.
     """
     places = [index for index, model in enumerate(models) if model.sessions is not None]
     sessions = [model.sessions for model in models if model.sessions is not None]
@@ -92,7 +100,7 @@ def include_sessions(models: Sequence[Fitted]) -> list[Fitted]:
     for index, ratio in zip(places, lack.ratios, strict=False):  # no ratios where nothing is shown
         model = models[index]
         if ratio.value > 1 and model.fit is not None and model.sessions is not None:
-            fitted = add_sessions(model.fit, model.sessions, ratio)
-            note = _SESSIONS.format(p=lack.p_value, deviation=fitted.session_deviation or 0.0)
-            with_sessions[index] = replace(model, fit=replace(fitted, notes=(*fitted.notes, note)))
+            session_fit = add_sessions(model.fit, model.sessions, ratio)
+            note = _SESSIONS_NOTE.format(p=lack.p_value, deviation=session_fit.session_deviation or 0.0)
+            with_sessions[index] = replace(model, fit=replace(session_fit, notes=(*session_fit.notes, note)))
     return with_sessions
