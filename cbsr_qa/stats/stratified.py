@@ -10,7 +10,7 @@ zero (Hodges & Lehmann 1963); its interval holds the Δ with |T| below the norma
 that is not allowed for, so that the interval is then too wide.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from itertools import count
 from math import sqrt
 
@@ -21,9 +21,6 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.robust import Shift, shift
 from cbsr_qa.stats.samples import Interval, constant, share
-
-#: Width at which a shift is found, relative to that of all differences.
-_PRECISION = 1e-13
 
 
 def shift_within(
@@ -80,28 +77,47 @@ def _statistic(strata: Sequence[tuple[Array, Array]], difference: float) -> floa
 
 
 def _crossing(strata: Sequence[tuple[Array, Array]], level: float, low: float, high: float) -> tuple[float, float]:
-    """Return where T ceases to be above a level, and where it begins to be below; they differ on a step at it."""
+    """Return where T ceases to be above a level, and where it begins to be below: differences of two values."""
     left, right = float(np.nextafter(low, -np.inf)), float(np.nextafter(high, np.inf))
     return (
-        _narrow(lambda difference: _statistic(strata, difference) - level, left, right, counts_equal=False)[1],
-        _narrow(lambda difference: _statistic(strata, difference) - level, left, right, counts_equal=True)[0],
+        _nearest_difference(strata, _narrow(strata, level, left, right, counts_equal=False)),
+        _nearest_difference(strata, _narrow(strata, level, left, right, counts_equal=True)),
     )
 
 
 def _narrow(
-    excess: Callable[[float], float], left: float, right: float, *, counts_equal: bool
-) -> tuple[float, float]:
-    """Narrow down where a falling function ceases to be positive (or zero); interpolates and bisects in turn."""
-    left_excess, right_excess = excess(left), excess(right)
-    least_width = _PRECISION * (right - left)
+    strata: Sequence[tuple[Array, Array]], level: float, left: float, right: float, *, counts_equal: bool
+) -> float:
+    """Return where T, which falls, ceases to be above a level, or at it if that counts, to rounding.
+
+    Interpolates and bisects in turn, between neighbouring powers of two first: single values may be far away.
+    """
+    left_excess, right_excess = (_statistic(strata, end) - level for end in (left, right))
     for step in count():
         share = left_excess / (left_excess - right_excess) if step % 2 and left_excess > right_excess else 0.5
         middle = left + min(max(share, 0.01), 0.99) * (right - left)
-        if right - left <= least_width or not left < middle < right:
-            return left, right
-        middle_excess = excess(middle)
-        if middle_excess > 0 or (counts_equal and middle_excess == 0):
-            left, left_excess = middle, middle_excess
+        if step % 4 == 0 and left < 0 < right:
+            middle = 0.0
+        elif step % 4 == 2 and min(abs(left), abs(right)) * 16 < max(abs(left), abs(right)):
+            smaller, larger = sorted((left, right), key=abs)
+            middle = 0.5 * larger if smaller == 0 or smaller * larger < 0 else smaller * sqrt(larger / smaller)
+        if not left < middle < right:
+            return 0.5 * (left + right) if np.nextafter(left, right) < right else right
+        excess = _statistic(strata, middle) - level
+        if excess > 0 or (counts_equal and excess == 0):
+            left, left_excess = middle, excess
         else:
-            right, right_excess = middle, middle_excess
+            right, right_excess = middle, excess
     raise AssertionError("count() does not end")
+
+
+def _nearest_difference(strata: Sequence[tuple[Array, Array]], value: float) -> float:
+    """Return the difference of two values of one stratum that is nearest to a value."""
+    nearest = np.inf
+    for first, second in strata:
+        place = np.searchsorted(second, first - value)
+        for neighbour in (np.maximum(place - 1, 0), np.minimum(place, len(second) - 1)):
+            differences = first - second[neighbour]
+            candidate = differences[np.argmin(np.abs(differences - value))]
+            nearest = min(nearest, float(candidate), key=lambda one: abs(one - value))
+    return nearest

@@ -70,3 +70,25 @@ def test_intervals_hold_whatever_stations_add_and_however_sensors_are_distribute
 def test_what_cannot_be_ranked_is_refused(strata):
     with pytest.raises(NumericsError, match="first − second"):
         shift_within(strata)
+
+
+@pytest.mark.parametrize("far", [1e6, 1e15, 9.9e37, 1e140])
+def test_one_value_far_away_moves_the_shift_no_further_than_one_that_is_merely_largest(far):
+    strata = draw_strata(4)
+    plain, moved = (
+        shift_within([(np.append(strata[0][0], value), strata[0][1]), *strata[1:]]) for value in (50.0, far)
+    )
+    assert (moved.value, moved.interval, moved.p_value) == (plain.value, plain.interval, plain.p_value)
+
+
+def test_ends_are_differences_of_values_also_with_ties():
+    random = np.random.default_rng(841)
+    for _ in range(40):
+        found = shift_within(
+            [(random.integers(0, 2, 6).astype(float), random.integers(0, 2, 7).astype(float)) for _ in range(2)]
+            + [(np.array([0.0, 1.0]), np.array([1.0]))]
+        )
+        assert found.value in {-1.0, -0.5, 0.0, 0.5, 1.0}
+        if found.interval is not None:
+            assert {found.interval.low, found.interval.high} <= {-1.0, 0.0, 1.0}
+            assert found.interval.holds(found.value)

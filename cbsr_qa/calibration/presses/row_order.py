@@ -50,11 +50,13 @@ def guess_error(place_mm: Array) -> float:
 def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
     """Find an order of rows in which readings (n, m) and places (n, 2) fit clearly better; None without one.
 
-    Tried are shifts by one to three rows, a row that one of the tables lacks, anywhere, and the reverse order.
+    Tried are shifts by one to three rows, a row that one of the tables lacks, anywhere, and the reverse order. Rows
+    without a change count for the order only.
     """
     rows = np.arange(len(changes))
     if len(rows) > 2 * _MAX_PRESSES:
         rows = np.concatenate([rows[:_MAX_PRESSES], rows[-_MAX_PRESSES:]])
+    is_pressed = np.any(changes[rows] != 0, axis=1)
     inverses = [*_invert_kernels(changes[rows])]
 
     def measure_error(order: Indices) -> float:
@@ -62,7 +64,7 @@ def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
         places = place_mm[order[rows] % len(place_mm)]
         centred = places - places.mean(axis=0)
         return min(
-            float(np.linalg.norm((inverse @ centred) / np.diagonal(inverse)[:, None], axis=1).mean())
+            float(np.linalg.norm((inverse @ centred) / np.diagonal(inverse)[:, None], axis=1)[is_pressed].mean())
             for inverse in inverses
         )
 
@@ -100,10 +102,14 @@ def _list_orders(count: int, rows: Indices) -> Iterator[tuple[str, Indices]]:
     for shift in _SHIFTS:
         side = "below" if shift > 0 else "above"
         rows_text = "row" if abs(shift) == 1 else "rows"
-        yield f"places stand {abs(shift)} {rows_text} {side} their readings (--row-shift {shift})", numbers + shift
+        yield (
+            f"places stand {abs(shift)} {rows_text} {side} their readings (--row-shift {shift}, to another file)",
+            numbers + shift,
+        )
     yield "one of the tables is in the reverse order", numbers[::-1]
     for before, row in zip(rows[_MIN_BESIDE - 1 :].tolist(), rows[_MIN_BESIDE:-_MIN_BESIDE].tolist(), strict=False):
         from_row = numbers >= row
         which = f"about row {row + 1}" if row == before + 1 else f"a row from {before + 2} to {row + 1}"
-        yield f"the place of {which} is missing, and those below stand one row too high", numbers - from_row
-        yield f"the readings of {which} are missing, and those below stand one row too high", numbers + from_row
+        stand = "and those below stand one row too high: add"
+        yield f"the place of {which} is missing, {stand} it, or leave its readings out", numbers - from_row
+        yield f"the readings of {which} are missing, {stand} them, or leave its place out", numbers + from_row

@@ -47,14 +47,14 @@ class ContrastFreedom(Protocol):
 
 @dataclass(frozen=True, slots=True, eq=False)
 class Scatter:
-    """Variance between runs of a sensor (0 where no sensor has two), and between sensors of each group (g,)."""
+    """Deviation between runs of a sensor (0 where no sensor has two), and between sensors of each group (g,)."""
 
-    run_variance: float
-    sensor_variances: Array
+    run_deviation: float
+    sensor_deviations: Array
 
     def scale(self, factor: float) -> "Scatter":
-        """Return the variances of values multiplied by a factor."""
-        return Scatter(factor**2 * self.run_variance, factor**2 * self.sensor_variances)
+        """Return the deviations of values multiplied by a factor."""
+        return Scatter(factor * self.run_deviation, factor * self.sensor_deviations)
 
 
 @dataclass(frozen=True, slots=True, eq=False)

@@ -10,6 +10,7 @@ v_g²/f_g. Where no sensor has two runs, σ² is part of τ_g².
 """
 
 from dataclasses import dataclass, replace
+from math import sqrt
 
 import numpy as np
 from scipy import stats
@@ -105,14 +106,15 @@ def scatter_products(design: Crossing, columns: SparseArray, response: Array, sc
     """
     width = columns.shape[1] + 1
     parts = np.zeros((len(design.groups) + 1, width, width))
-    for index, sensor_variance in enumerate(scatter.sensor_variances.tolist()):
+    run_variance = scatter.run_deviation**2
+    for index, sensor_deviation in enumerate(scatter.sensor_deviations.tolist()):
         members = np.flatnonzero(design.group == index)
         sensor = np.unique(design.sensor[members], return_inverse=True)[1].astype(np.intp)
         sums = random_effect_sums(columns[members], response[members], sensor)
-        weights = sums.sizes / (scatter.run_variance + sums.sizes * sensor_variance)
+        weights = sums.sizes / (run_variance + sums.sizes * sensor_deviation**2)
         parts[index] = np.tensordot(weights, sums.between, axes=1)
-        if scatter.run_variance:
-            parts[-1] += sums.within / scatter.run_variance
+        if run_variance:
+            parts[-1] += sums.within / run_variance
     return parts
 
 
@@ -141,7 +143,7 @@ def _estimate_variances(alike: Fit, residuals: Array) -> Scatter:
             variances[index] = mean_square - run_variance * float(np.mean(1 / counts[members]))
     typical = max(float(np.nanmean(variances)), _MIN_RELATIVE_VARIANCE)
     variances[np.isnan(variances)] = typical
-    return Scatter(run_variance, np.maximum(variances, _MIN_RELATIVE_VARIANCE * typical))
+    return Scatter(sqrt(run_variance), np.sqrt(np.maximum(variances, _MIN_RELATIVE_VARIANCE * typical)))
 
 
 def _count_freedoms(design: Crossing) -> Array:

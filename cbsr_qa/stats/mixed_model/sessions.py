@@ -182,15 +182,16 @@ def fit_session_means(additive: Fit, values: Array) -> SessionMeans | None:
         return None
     within = (residuals - (np.bincount(session, residuals) / np.bincount(session))[session]) / scale
     if additive.scatter is not None:
-        variances = additive.scatter.run_variance + additive.scatter.sensor_variances
-        within /= np.sqrt(variances / variances.max())[design.group]
+        deviations = np.hypot(additive.scatter.run_deviation, additive.scatter.sensor_deviations)
+        within /= (deviations / deviations.max())[design.group]
     of_sensors = np.bincount(design.sensor, within) / np.bincount(design.sensor)
+    size = sqrt(float(np.mean(of_sensors**2)))
     return replace(
         estimated,
         columns=columns,
         means=scale * estimated.means,
         variance=scale**2 * estimated.variance,
-        residuals=of_sensors / sqrt(float(np.mean(of_sensors**2))),
+        residuals=of_sensors / size if size > LEAST_SPREAD else np.zeros_like(of_sensors),
     )
 
 
@@ -286,7 +287,9 @@ def correlate(metrics: Sequence[SessionMeans]) -> Array:
         row[[places[name] for name in metric.sensors]] = metric.residuals
     products = residuals @ residuals.T
     scales = np.sqrt(np.diagonal(products))
+    scales[scales == 0] = 1.0  # residuals of a sensor's runs may cancel: such a metric counts as independent
     correlations: Array = products / np.multiply.outer(scales, scales)
+    np.fill_diagonal(correlations, 1.0)
     return correlations
 
 

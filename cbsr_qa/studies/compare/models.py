@@ -76,9 +76,9 @@ def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) 
             values = values[design.first_runs()]
         final_fit = fit_scatter(alike, values)
         if final_fit.scatter is not None:
-            variances, names = final_fit.scatter.sensor_variances, final_fit.design.groups
-            low, high = int(np.argmin(variances)), int(np.argmax(variances))
-            times = float(np.sqrt(variances[high] / variances[low]))
+            deviations, names = final_fit.scatter.sensor_deviations, final_fit.design.groups
+            low, high = int(np.argmin(deviations)), int(np.argmax(deviations))
+            times = float(deviations[high] / deviations[low])
             notes.append(_SCATTER_NOTE.format(low=names[low], high=names[high], times=times))
         final_fit = replace(final_fit, notes=(*final_fit.notes, *notes))
         return Fitted(final_fit, "", of_stations, fit_session_means(final_fit, values))

@@ -423,7 +423,9 @@ def test_places_one_row_below_their_readings_are_suspected_and_shifted_back_only
     assert late.return_value == 1
     printed = json.loads(late.stdout)
     assert printed["place_learned"] is False
-    assert "places stand 1 row below their readings (--row-shift 1)" in printed["labels"]["suspected"]
+    assert (
+        "places stand 1 row below their readings (--row-shift 1, to another file)" in printed["labels"]["suspected"]
+    )
     assert printed["labels"]["gain_mm"] > 10
     assert printed["labels"]["suspected"] == printed["warnings"][0]
     files = {"presses": tmp_path / "late.csv"}

@@ -31,7 +31,7 @@ def test_readings_that_say_nothing_are_not_put_in_another_order():
 def test_a_shift_is_named_with_the_option_that_undoes_it(shift):
     changes, places = press_sheet()
     found = find_row_order(changes, np.roll(places, shift, axis=0))
-    assert f"(--row-shift {shift})" in found.words
+    assert f"(--row-shift {shift}, to another file)" in found.words
     assert found.gain_mm > 0.6 * guess_error(places)
 
 
@@ -58,3 +58,10 @@ def test_a_row_lost_among_many_presses_is_found_by_both_ends_of_the_session():
         "the place of a row from 251 to 650 is missing"
         in find_row_order(changes[:-1], np.delete(places, 400, 0)).words
     )
+
+
+def test_rows_without_a_press_keep_their_numbers():
+    changes, places = press_sheet()
+    changes[4:10] = 0.0
+    words = find_row_order(changes[:-1], np.delete(places, 50, axis=0)).words
+    assert abs(int(words.split("about row ")[1].split()[0]) - 51) <= 2

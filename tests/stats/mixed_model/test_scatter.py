@@ -46,7 +46,7 @@ def test_effects_are_those_of_dense_weighted_least_squares():
     found = fit_scatter(fit(rows.design, values), values)
     assert found.model is Model.MIXED
     same_sensor = rows.sensor[:, None] == rows.sensor[None, :]
-    run, between = found.scatter.run_variance, found.scatter.sensor_variances
+    run, between = found.scatter.run_deviation**2, found.scatter.sensor_deviations**2
     inverse = np.linalg.inv(run * np.eye(len(values)) + between[rows.batch][:, None] * same_sensor)
     matrix = rows.design.columns().toarray()
     covariance = np.linalg.inv(matrix.T @ inverse @ matrix)
@@ -79,3 +79,11 @@ def test_a_group_of_sensors_that_read_the_same_does_not_weigh_without_bound():
     expected = welch(values[40:], values[20:40])
     assert found.value == pytest.approx(expected.value, rel=1e-9)
     assert found.standard_error == pytest.approx(expected.standard_error, rel=1e-6)
+
+
+def test_deviations_whose_squares_are_below_the_smallest_numbers_end_no_comparison():
+    rows = one_station()
+    values = 1e-160 * draw_sensors(rows, 5, DEVIATIONS)
+    scatter = fit_scatter(fit(rows.design, values), values).scatter
+    assert scatter.sensor_deviations[2] / scatter.sensor_deviations[0] == pytest.approx(6, rel=0.5)
+    assert scatter.scale(1e160).sensor_deviations == pytest.approx(1e160 * scatter.sensor_deviations)

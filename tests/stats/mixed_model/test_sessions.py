@@ -127,3 +127,13 @@ def test_lack_of_fit_is_shown_where_sessions_differ(session, least, most):
         _, _, lack = find_lack(rows, draw_metrics(rows, seed, 4, session=session))
         shown.append(lack.shown)
     assert least <= np.mean(shown) <= most
+
+
+def test_a_metric_whose_runs_cancel_in_each_sensor_hides_no_session_of_others():
+    """Signs of ±1 at the two stations: the means of a sensor are zero, and so are their residuals."""
+    rows = fleet([(number // 4, station, number) for number in range(8) for station in range(2)])
+    signs = np.where(rows.sensor % 2, -1.0, 1.0) * np.where(rows.station, -1.0, 1.0)
+    random = np.random.default_rng(813)
+    disturbed = 0.3 * random.normal(size=16) + 5.0 * ((rows.batch == 1) & (rows.station == 0))
+    _, _, lack = find_lack(rows, [signs, disturbed])
+    assert lack.shown
