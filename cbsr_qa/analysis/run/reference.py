@@ -51,7 +51,7 @@ def find_unloaded_frames(record: RunRecord) -> FrameBlock:
 def split_unloaded(frames: FrameBlock, noise_floor_frames: int) -> tuple[FrameBlock, FrameBlock]:
     """Split unloaded frames into those of the noise floor (the first ones, as in the paper) and of the reference.
 
-    NumericsError if there is none left for the reference.
+    NumericsError if no frame is left for the reference.
     """
     if len(frames) <= noise_floor_frames:
         raise NumericsError(

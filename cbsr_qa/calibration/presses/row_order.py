@@ -1,6 +1,6 @@
 """Rows out of step: whether labels in another order of rows fit the readings better.
 
-Readings and labels belong together by their rows. If a row is lost in one table, or one is sorted, every press gets
+Readings and labels belong together by their rows. If a row is lost in one table, or one is reversed, a press gets
 the place of another, and the sheet cannot be learned. The place of each press is predicted from the others by
 regression on the likeness of their readings (Gaussian process, leave-one-out residuals [K⁻¹y]_i/[K⁻¹]_ii; Rasmussen &
 Williams 2006, section 5.4.2). The kernel knows the readings alone, so that one inverse serves every order of labels.

@@ -20,6 +20,8 @@ from cbsr_qa.studies.selection import software_words
 _DAY: Final = timedelta(days=1)
 #: One batch is tested within this time; otherwise a clock is wrong.
 _LONGEST_BATCH: Final = timedelta(days=200)
+#: With no more degrees of freedom, sessions that differ are seldom shown.
+_HARDLY_ANY: Final = 2
 
 _LEFT_OUT: Final = "Left out: {runs} {why}"
 _ONE_GROUP: Final = "There is only one {by}, {name}: nothing to compare it with"
@@ -33,6 +35,10 @@ _RESTS_ON: Final = (
 _SESSIONS: Final = (
     "These runs cannot tell a {noun} from its session at a station: what was particular then counts as the {noun}'s; "
     "to tell them apart, run some sensors of {group} on {station} too"
+)
+_FEW_SESSIONS: Final = (
+    "These runs hardly show whether sessions of a {noun} at a station differ ({freedom}): what looks like a "
+    "difference of one {noun} from another may be one of sessions; sensors of each {noun} on more stations would tell"
 )
 _LACK_OF_FIT: Final = (
     "How far one {noun} is from another depends on the station, by more than their sensors explain: intervals of "
@@ -110,13 +116,18 @@ def _name_common_batches(grouping: Grouping, design: Design) -> Iterator[str]:
 
 
 def _caution_sessions(design: Design, models: Sequence[Fitted]) -> Iterator[str]:
-    """Say that sessions widen intervals, or, if the runs that count cannot show sessions, which further run would."""
+    """Say that sessions widen intervals; or that the runs hardly show them, or not at all, and which run would."""
     made, noun = design.crossing, str(By.BATCH) if design.of_stations else design.noun
     widened = sum(model.fit is not None and model.fit.session_deviation is not None for model in models)
     if widened:
         yield _LACK_OF_FIT.format(noun=noun, count=widened, metrics=plural(len(models), "metric"))
     sessions = set(zip(made.group.tolist(), made.station.tolist(), strict=True))
-    if design.levels or len(made.groups) < 2 or len(sessions) > int(made.independent_columns().sum()):
+    freedom = len(sessions) - int(made.independent_columns().sum())
+    if design.levels or len(made.groups) < 2 or freedom > _HARDLY_ANY:
+        return
+    if freedom:
+        if not widened:
+            yield _FEW_SESSIONS.format(noun=noun, freedom=plural(freedom, "degree of freedom", "degrees of freedom"))
         return
     for group, part in enumerate(made.group_parts.tolist()):
         for station in range(len(made.stations)):

@@ -68,13 +68,13 @@ MOVES = {
     "operator": ("'nobody'", ["--operator", "Zoë"]),
     "recipe": ("'another'", ["--recipe", "short"]),
     "started_at": ("'2001-01-01 00:00:00.000000'", ["--since", "2002-01-01"]),
-    "run, by a day that is none": ("'yesterday'", ["--until", "2099-01-01"]),
+    "run, by an invalid day": ("'yesterday'", ["--until", "2099-01-01"]),
 }
 
 
 @pytest.mark.parametrize(
     ("column", "value", "options"),
-    rest_but_named({name: (name, *which) for name, which in MOVES.items()}, "station", "run, by a day that is none"),
+    rest_but_named({name: (name, *which) for name, which in MOVES.items()}, "station", "run, by an invalid day"),
 )
 def test_a_failed_run_that_was_moved_out_of_a_selection_is_listed_as_altered(
     moved, capsys, tmp_path, column, value, options
@@ -149,7 +149,7 @@ UNREADABLE = {
     "deep JSON of an analysis": f"update analyses set software = '{DEEP}' where run = ?",
     "deep JSON of a run": f"update runs set setting = '{DEEP}' where run = ?",
     "JSON of another shape": "update analyses set software = '{\"a\": 1}' where run = ?",
-    "a setting that is none": "update runs set setting = '[1]' where run = ?",
+    "an invalid setting": "update runs set setting = '[1]' where run = ?",
     "what was simulated": "update runs set simulated = '3' where run = ?",
     "broken JSON": "update analyses set software = '[' where run = ?",
     "a number of a measurement": "update measurements set value = 'far' where analysis ="

@@ -186,7 +186,7 @@ EDITS = {
     "bytes for the chain": ("update runs set chain = x'ff006a'", r"runs\.chain .* holds b'"),
     "bytes for the configuration": ("update runs set configuration = x'ff006a'", r"runs\.configuration .* holds b'"),
     "bytes for a link": ("update run_links set content_sha256 = x'ff006a' where number = 4", "content_sha256"),
-    "a date that is none": ("update runs set started_at = 'now'", "runs.started_at .* holds 'now'"),
+    "an invalid date": ("update runs set started_at = 'now'", "runs.started_at .* holds 'now'"),
 }
 
 
@@ -194,7 +194,7 @@ EDITS = {
 QUICK = (
     *("configuration", "batch", "an instrument less", "a load more", "rows swapped", "a frame", "a frame's digest"),
     *("the last bit", "a verdict", "no override", "a link less", "the last link", "no links", "no chain"),
-    *("links swapped", "a link's content", "text for a number", "truer than true", "a date that is none"),
+    *("links swapped", "a link's content", "text for a number", "truer than true", "an invalid date"),
 )
 
 

@@ -255,6 +255,18 @@ def test_a_design_that_cannot_show_sessions_names_the_run_that_would(plan, furth
     assert said.endswith(further)
 
 
+def test_two_batches_at_two_stations_are_said_to_show_sessions_hardly():
+    plan = [(batch, station) for batch in ("41", "42") for station in "AB"]
+    runs = [run_of(number, *plan[number % 4]) for number in range(24)]
+    values = np.random.default_rng(15).normal(size=24)
+    (said,) = [
+        warning for warning in compare(table_of(runs, values), Terms(By.BATCH), NOW).warnings if "session" in warning
+    ]
+    assert said.startswith(
+        "These runs hardly show whether sessions of a batch at a station differ (1 degree of freedom)"
+    )
+
+
 def test_a_batch_that_scatters_more_is_named_and_weighted():
     runs = [run_of(number, f"4{number % 2}") for number in range(60)]
     values = np.random.default_rng(14).normal(size=60) * [1.0 + 4.0 * (run.batch == "41") for run in runs]
