@@ -1,6 +1,6 @@
 """Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -13,6 +13,7 @@ from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
 from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
 from cbsr_qa.domain.plan.limits import SEVERITY, Limit, Outcome
 from cbsr_qa.domain.plan.plan import Recipe
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.characterisation import Characterisation
 from cbsr_qa.domain.results.dimensions import Dimensions
@@ -108,13 +109,19 @@ def _evaluate_strip(
 
 
 def calibrate_run(
-    conclusion: Conclusion, recipe: Recipe, *, calibration: str, issued_at: str
+    conclusion: Conclusion,
+    recipe: Recipe,
+    *,
+    calibration: str,
+    issued_at: str,
+    standards: Sequence[ReferenceStandard] = (),
 ) -> tuple[Calibration | None, str]:
     """Return the calibration of a run that passed and an empty reason, or None and the reason.
 
     Parameters
     ----------
     calibration, issued_at : identity and time of issue.
+    standards : reference standards that the station states.
     """
     if recipe.characterisation is not None:
         return None, "a material strip gets no calibration"
@@ -138,6 +145,7 @@ def calibrate_run(
             confirmed=force.list_confirmed_loads(),
             no_force=force.why,
             place=run_place(conclusion.observation).used,
+            standards=standards,
         )
     except (CalibrationError, NumericsError) as error:
         return None, error.reason

@@ -19,6 +19,7 @@ from cbsr_qa.calibration.sheet.baseline import baseline_conductance, load_baseli
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.kept import as_filed, take_sources
 from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
@@ -51,6 +52,7 @@ def issue_calibration(
     confirmed: Sequence[LoadObservation] = (),
     no_force: str = "",
     place: PlaceOfRun | None = None,
+    standards: Sequence[ReferenceStandard] = (),
 ) -> Calibration:
     """Issue a calibration.
 
@@ -67,6 +69,7 @@ def issue_calibration(
     learned_from : loads that were used or refused, in the order of ``learned.refused``.
     confirmed : other loads whose force it predicted within its stated error: they widen the range.
     place : learned from the run's presses; None to locate by the model of the sheet.
+    standards : reference standards that the station states.
 
     Raises
     ------
@@ -108,6 +111,7 @@ def issue_calibration(
             force=None if learned is None else as_filed(learned.model),
             place=None if learned is None else place,
             no_force=why,
+            standards=tuple(standards),
         )
     )
 

@@ -2,16 +2,16 @@
 
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
-from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BeforeValidator, Field
+from pydantic import Field
 
 from cbsr_qa.config.choices import Choice, read_choice
 from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.gate import GateTable
-from cbsr_qa.config.tables import FileModel, OpenTable, Word, as_domain
+from cbsr_qa.config.standards import StandardsTable
+from cbsr_qa.config.tables import FileModel, IsoDate, OpenTable, Word, as_domain
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.plan.plan import (
     EMULATED,
@@ -37,18 +37,6 @@ Resistance = Annotated[float, Field(ge=1e-3, le=1e9)]
 NEEDED_ROLES = ("frame_source", "force_applicator")
 #: Option keys of instrument tables that name another configuration file.
 REFERENCES = ("scene", "material", "sensor_type")
-
-
-def _iso_date(value: Any) -> str:
-    """Take a TOML date or the same as text; keep it as text."""
-    if isinstance(value, date) and not isinstance(value, datetime):
-        return value.isoformat()
-    if not isinstance(value, str):
-        raise ValueError("it must be a date like 2027-03-31")
-    try:
-        return date.fromisoformat(value).isoformat()
-    except ValueError:
-        raise ValueError("it must be a date like 2027-03-31") from None
 
 
 class StationTable(Table):
@@ -173,7 +161,7 @@ class InstrumentTable(OpenTable):
     provides: Annotated[list[Word], Field(min_length=1)]
     model: Name | None = None
     serial: Name | None = None
-    calibration_due: Annotated[str | None, BeforeValidator(_iso_date)] = None
+    calibration_due: IsoDate | None = None
 
     def to_domain(self, role: str) -> InstrumentSpec:
         identity = {"model": self.model or "", "serial": self.serial or ""}
@@ -217,6 +205,7 @@ class StationFile(FileModel[Station]):
     gate: GateTable = Field(default_factory=GateTable)
     events: Annotated[dict[Word, EventsTable], Field(default_factory=dict)]
     sync: SyncTable = Field(default_factory=SyncTable)
+    standards: StandardsTable = Field(default_factory=StandardsTable)
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
@@ -241,6 +230,7 @@ class StationFile(FileModel[Station]):
             yield from self.calibrations.problems()
         yield from self.gate.problems()
         yield from self.sync.problems()
+        yield from self._standards_problems()
         if self.gate.backlog not in (None, "off") and self.sync.backlog_hours is None:
             yield Problem(("gate", "backlog"), "needs backlog_hours in [sync]")
         if self.station.overdue is not None and self.gate.calibration_due is not None:
@@ -256,6 +246,10 @@ class StationFile(FileModel[Station]):
         for role in NEEDED_ROLES:
             if role not in instrument_by_role:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
+
+    def _standards_problems(self) -> Iterator[Problem]:
+        if not any(problem.path[0] == "indenter" for problem in self.indenter.problems()):
+            yield from self.standards.problems(self.indenter.to_domain())
 
     def _emulation_problems(self) -> Iterator[Problem]:
         emulated_roles = [
@@ -289,6 +283,7 @@ class StationFile(FileModel[Station]):
             signing_key=None if self.calibrations is None else Path(self.calibrations.signing_key),
             gate=self.gate.to_domain(self.station.overdue),
             sync=as_domain(SyncSettings, self.sync),
+            standards=self.standards.to_domain(),
             events=tuple(table.to_domain(name) for name, table in sorted(self.events.items())),
         )
 

@@ -2,10 +2,11 @@
 
 import re
 from collections.abc import Iterator
+from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import AfterValidator, BaseModel, ConfigDict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
 
 from cbsr_qa.config.choices import Choice, check_choice
 from cbsr_qa.config.documents import REFERENCE, Document, find_not_finite
@@ -31,6 +32,22 @@ def _word(text: str) -> str:
 
 #: Name that code uses, as of a role or a measurement.
 Word = Annotated[str, AfterValidator(_word)]
+
+
+def _iso_date(value: Any) -> str:
+    """Take a TOML date or the same as text; keep it as text."""
+    if isinstance(value, date) and not isinstance(value, datetime):
+        return value.isoformat()
+    if not isinstance(value, str):
+        raise ValueError("it must be a date like 2027-03-31")
+    try:
+        return date.fromisoformat(value).isoformat()
+    except ValueError:
+        raise ValueError("it must be a date like 2027-03-31") from None
+
+
+#: Date as ISO text.
+IsoDate = Annotated[str, BeforeValidator(_iso_date)]
 
 
 class OpenTable(BaseModel):

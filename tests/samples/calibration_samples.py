@@ -11,6 +11,7 @@ import h5py
 import numpy as np
 
 from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, OverlapBand, ParameterChoice
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
@@ -26,6 +27,9 @@ from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
+
+LOAD_CELL = ReferenceStandard("load_cell", "K-2026-0711", "D-K-15000", "2026-03-02", "2027-03-31", 0.5, 2.0, "%")
+INDENTER = ReferenceStandard("indenter", "L-99", "D-K-15001", "2025-05-05", "2030-05-05", 0.02, 2.0, "mm")
 
 
 def sample_sensor_type(electrodes: int = 6) -> SensorType:

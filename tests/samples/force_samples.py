@@ -108,6 +108,7 @@ def in_use(model: ForceModel, against_stress: QuasiStatic) -> Calibration:
         calibration="c",
         sensor=SimpleNamespace(serial="S-1"),
         place=None,
+        standards=(),
         reference=here.model.solve_unloaded(),
         current_A=1.0,
         indenter=HEAD,

@@ -13,6 +13,7 @@ from cbsr_qa.calibration.force.interpolation import interpolate
 from cbsr_qa.calibration.force.inverse import ForceInverse, least_force_N, map_tables
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.standards import ReferenceStandard, describe_force_error
 from cbsr_qa.domain.results.calibration import (
     BaselineConductance,
     Calibration,
@@ -201,6 +202,7 @@ class ShownCalibration:
     ----------
     digest, record_digest : SHA-256 of the file's content, and of the part kept in the database.
     values : every field of the file by its path, as named in its field table (``Calibration``).
+    force_error : what standard errors of force include.
     """
 
     file: Path
@@ -218,6 +220,8 @@ class ShownCalibration:
     values: dict[str, Value]
     force_model: ShownForceModel | None
     no_force_model: str | None
+    force_error: str
+    standards: tuple[ReferenceStandard, ...]
 
     @classmethod
     def from_calibration(cls, path: Path, verified: VerifiedFile, held: Calibration) -> Self:
@@ -243,6 +247,8 @@ class ShownCalibration:
             values={path: Value.from_entry(entry) for path, entry in sorted(encode(held).items())},
             force_model=None if held.force is None else ShownForceModel.from_model(held, held.force),
             no_force_model=None if held.force else held.no_force,
+            force_error=describe_force_error(held.standards),
+            standards=held.standards,
         )
 
 

@@ -68,21 +68,21 @@ def charts_in_control(asked: Asked) -> Finding:
 
 
 def instruments_in_date(asked: Asked) -> Finding:
-    """Look for instruments whose date in the station file has passed."""
-    today = asked.now.date()
-    dated = [spec for spec in asked.configuration.station.instruments if spec.calibration_due]
-    past_due_words = [
-        f"{instrument.role} ({instrument.driver}) was due on {instrument.calibration_due}"
-        for instrument in dated
-        if past_due(instrument.calibration_due, today)
-    ]
+    """Look for instruments and reference standards whose date in the station file has passed."""
+    station, today = asked.configuration.station, asked.now.date()
+    due_by_name = {
+        f"{instrument.role} ({instrument.driver})": instrument.calibration_due
+        for instrument in station.instruments
+        if instrument.calibration_due
+    }
+    due_by_name |= {f"the {s.role_words} (certificate {s.certificate})": s.due for s in station.standards}
+    past_due_words = [f"{name} was due on {due}" for name, due in due_by_name.items() if past_due(due, today)]
     if past_due_words:
-        remedy = "have it calibrated and give the new calibration_due in the station file"
+        remedy = "have it calibrated and give the new dates in the station file"
         return Finding(False, f"the calibration of {', '.join(past_due_words)}", remedy)
-    if not dated:
+    if not due_by_name:
         return Finding(True, "no instrument states a calibration_due")
-    first = min(str(spec.calibration_due) for spec in dated)
-    return Finding(True, f"no instrument is due before {first}")
+    return Finding(True, f"no instrument is due before {min(due_by_name.values())}")
 
 
 def past_due(calibration_due: str | None, today: date) -> bool:

@@ -85,7 +85,13 @@ def _conclude(
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)
     charts = charts_after(store, record.identity.station, record.identity, conclusion.measurements)
-    calibration, calibration_why = calibrate_run(conclusion, recipe, calibration=store.new_id(), issued_at=issued_at)
+    calibration, calibration_why = calibrate_run(
+        conclusion,
+        recipe,
+        calibration=store.new_id(),
+        issued_at=issued_at,
+        standards=configuration.station.standards,
+    )
     if calibration is not None:
         calibration = _sign_with_key(calibration, configuration, store)
     result = fill_from_object(

@@ -87,6 +87,7 @@ def look_at_bench(
     try:
         for spec in look.configuration.station.instruments:
             look.open(spec, opened, today)
+        look.check_standards(today)
         connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
         look.put_together(callbacks)
         look.sample()
@@ -147,9 +148,14 @@ class _Look:
             self._mounted.append(mounted)
             if not isinstance(mounted.instrument, Linked):
                 self._ask(mounted)
-        due_line = _due(spec, self.configuration.station, today)
-        if due_line is not None:
-            self._add(due_line)
+        if spec.calibration_due is not None:
+            self._add(_check_due(spec.role, spec.calibration_due, self.configuration.station, today))
+
+    def check_standards(self, today: date) -> None:
+        """Add a line for each reference standard of the station."""
+        for standard in self.configuration.station.standards:
+            line = _check_due(f"standards.{standard.role}", standard.due, self.configuration.station, today)
+            self._add(replace(line, said=f"{standard.words()}{line.said.removeprefix(f'due on {standard.due}')}"))
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
@@ -283,12 +289,10 @@ def _skip_ring(why: str, remedy: str) -> CheckResult:
     return CheckResult("readings", CheckOutcome.NOT_DONE, said=why, remedy=remedy, subject=RING)
 
 
-def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | None:
-    """Line about a calibration date; None if the station file has none."""
-    if spec.calibration_due is None:
-        return None
-    days = (date.fromisoformat(spec.calibration_due) - today).days
-    is_late = past_due(spec.calibration_due, today)
+def _check_due(subject: str, due: str, station: Station, today: date) -> CheckResult:
+    """Compare a calibration date of the station file with today."""
+    days = (date.fromisoformat(due) - today).days
+    is_late = past_due(due, today)
     outcome = CheckOutcome.OK
     if is_late:
         outcome = (
@@ -303,9 +307,9 @@ def _due(spec: InstrumentSpec, station: Station, today: date) -> CheckResult | N
         value=float(days),
         unit="d",
         allowed="0 or more days left",
-        said=f"due on {spec.calibration_due}" + (f"; {policy}" if is_late else ""),
-        remedy="have it calibrated and give the new calibration_due in the station file" if is_late else "",
-        subject=spec.role,
+        said=f"due on {due}" + (f"; {policy}" if is_late else ""),
+        remedy="have it calibrated and give the new date in the station file" if is_late else "",
+        subject=subject,
     )
 
 

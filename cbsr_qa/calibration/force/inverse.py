@@ -73,6 +73,8 @@ class Forces:
         searched in a frame flagged UNREADABLE or OTHER_SENSOR.
     detectability : (n,) d′, the load's signal over the noise of the readings.
     flags : (n,) int64 of :class:`Flag`.
+    shared_stderr_N : (n,) part of ``stderr_N`` that all forces of the calibration share (the load cell's), which does
+        not average out. 0 where no standard is stated.
     """
 
     force_N: Array
@@ -81,6 +83,7 @@ class Forces:
     place_stderr_mm: Array
     detectability: Array
     flags: Indices
+    shared_stderr_N: Array
 
     def __repr__(self) -> str:
         detected_N = self.force_N[np.isfinite(self.force_N) & (self.flags & Flag.NOT_DETECTED == 0)]
@@ -304,7 +307,7 @@ def forces_together(
     flags[np.array([heads.strength[group].sum() * sign < 0 for group in groups])] |= Flag.WRONG_SIGN
     flags[np.array([other_head[group].any() for group in groups])] |= Flag.OTHER_HEAD
     detectability = np.array([heads.detectability[group].max() for group in groups])
-    loads = Forces(force, stderr, place, place_stderr, detectability, flags)
+    loads = Forces(force, stderr, place, place_stderr, detectability, flags, np.zeros(len(force)))
     total, total_stderr, _, _ = _sum_group(heads, newtons, range(len(heads)))
     frame_flags = Flag.MORE_THAN_ONE if together_mask.any() else Flag(0)
     return SeveralForces(loads, total, float(np.hypot(total_stderr, missing_share * abs(total))), frame_flags)
@@ -313,7 +316,7 @@ def forces_together(
 def nothing_together(total_N: float, stderr_N: float, flags: Flag) -> SeveralForces:
     """A frame without any head."""
     none, places = np.zeros(0), np.zeros((0, 2))
-    loads = Forces(none, none, places, none, none, np.zeros(0, dtype=np.int64))
+    loads = Forces(none, none, places, none, none, np.zeros(0, dtype=np.int64), none)
     return SeveralForces(loads, total_N, stderr_N, flags)
 
 

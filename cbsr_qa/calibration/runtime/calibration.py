@@ -26,6 +26,7 @@ from cbsr_qa.calibration.runtime.head_forces import HeadForces
 from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.domain.readings.frames import FrameBlock, Recording
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.sensor.patterns import DrivePattern
@@ -109,6 +110,11 @@ class Calibration(HeadForces):
         """Head that it was learned with."""
         return self.issued.indenter
 
+    @property
+    def force_error(self) -> str:
+        """What standard errors of force include."""
+        return describe_force_error(self.issued.standards)
+
     def estimate(self, frames: ArrayLike) -> Touches:
         """Estimate the touch in each frame, as :meth:`force` does; see :class:`Estimator`."""
         return _make_touches(self.force(frames), None)
@@ -152,7 +158,7 @@ class _Sequence:
 
     @property
     def remarks(self) -> tuple[str, ...]:
-        return self.scale.remarks
+        return (*self.scale.remarks, f"errors of force include {self.calibration.force_error}")
 
     def estimate(self, frames: FrameBlock) -> Touches:
         voltages = self.scale.voltages(frames)
@@ -179,7 +185,7 @@ def _make_touches(forces: Forces, settled_in_s: Array | None) -> Touches:
         place_stderr_mm=forces.place_stderr_mm,
         radius_68_mm=forces.place_stderr_mm * float(np.sqrt(_Q68)),
         radius_95_mm=forces.place_stderr_mm * float(np.sqrt(_Q95)),
-        force=TouchValues(forces.force_N, within_68, within_95, forces.stderr_N),
+        force=TouchValues(forces.force_N, within_68, within_95, forces.stderr_N, forces.shared_stderr_N),
         detectability=forces.detectability,
         settled_in_s=np.full(count, np.nan) if settled_in_s is None else settled_in_s,
     )

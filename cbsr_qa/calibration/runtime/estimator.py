@@ -108,12 +108,14 @@ class TouchValues:
     within_68, within_95 : (n, 2) lowest and highest of the interval that holds it with that probability: NaN in
         frames without one, None where the calibration lacks that ability.
     stderr : (n,) standard error of the value.
+    shared_stderr : (n,) part of it that all values of the calibration share, which does not average out.
     """
 
     values: Array
     within_68: Array | None
     within_95: Array | None
     stderr: Array | None = None
+    shared_stderr: Array | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -212,6 +214,7 @@ class Estimator(Protocol):
     pattern : drive pattern of its frames; None where :attr:`Ability.FRAMES` is lacking.
     head : head that it was learned with; None if that is not known.
     regions : regions of its places; None where :attr:`Ability.REGION` is lacking.
+    force_error : what errors of its forces include, e.g. ``scatter only; load cell not stated``.
     """
 
     @property
@@ -226,6 +229,8 @@ class Estimator(Protocol):
     def head(self) -> Indenter | None: ...
     @property
     def regions(self) -> Regions | None: ...
+    @property
+    def force_error(self) -> str: ...
 
     def estimate(self, frames: ArrayLike) -> Touches:
         """Estimate the touch in each frame by itself, against the calibration's own unloaded frame.

@@ -22,6 +22,7 @@ from cbsr_qa.calibration.force.inverse import (
     range_flags,
 )
 from cbsr_qa.calibration.force.multi_load import HeadCounter, Heads
+from cbsr_qa.calibration.force.shared_error import SharedError
 from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter, add_scatter
 from cbsr_qa.calibration.runtime.fewer_readings import BY_OFFSET, LEAST_OFFSET
 from cbsr_qa.calibration.runtime.frames import SensorFrames
@@ -62,6 +63,7 @@ class HeadForces(SensorFrames):
         area_mm2, line = self.issued.indenter.area_mm2, self.issued.against_stress
         self.inverse = ForceInverse(model, line, area_mm2, map_tables(model))
         self.sign = float(np.sign(line.slope.value))
+        self.shared_error = SharedError(self.issued.standards, self.issued.indenter)
         self._size_error = SizeError(model, self.issued.indenter.radius_mm)
         # It was learned from all readings.
         learned = self.issued.place if model is self.issued.force else None
@@ -115,7 +117,7 @@ class HeadForces(SensorFrames):
             changes, bad_flags = usable.changes_of(voltages[frame_indices])
             part_places = places if places is None or places.ndim == 1 else places[frame_indices]
             forces_by_part.append((frame_indices, usable._force(changes, bad_flags | flags, part_places, head)))
-        return join_forces(forces_by_part)
+        return self.shared_error.add(join_forces(forces_by_part), other_head=head != self.issued.indenter)
 
     def _force(self, changes: Array, bad: Indices, places: Array | None, head: Indenter) -> Forces:
         finder, rows = self._filter(head), changes @ self._merging
@@ -204,7 +206,7 @@ class HeadForces(SensorFrames):
             return nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
         error = self._size_error(self._size(head), heads.place_mm)
         heads = heads.add_scatter(finder.size_slope(heads.place_mm), self.model.place_scatter_mm).unsure(error)
-        return forces_together(
+        together = forces_together(
             heads.times(self.issued.indenter.area_mm2 / head.area_mm2),
             unexplained,
             self._inverse(head),
@@ -212,6 +214,13 @@ class HeadForces(SensorFrames):
             nearest_mm=_NEAREST * head.diameter_mm,
             sign=self.sign,
             other_head=error > LARGEST,
+        )
+        is_other = head != self.issued.indenter
+        shared_N = self.shared_error.stderr_N(np.array([together.total_N]), other_head=is_other)
+        return replace(
+            together,
+            loads=self.shared_error.add(together.loads, other_head=is_other),
+            total_stderr_N=float(np.hypot(together.total_stderr_N, shared_N[0])),
         )
 
     def moved(self, changes: Array, matches: Matches | None = None, head: Indenter | None = None) -> Mask:
@@ -319,7 +328,7 @@ class HeadForces(SensorFrames):
         if searched:  # searched in vain in an unusable frame
             place_mm[~usable_mask] = np.nan
             place_stderr[~usable_mask] = np.nan
-        return Forces(force, stderr, place_mm, place_stderr, detectability, flags)
+        return Forces(force, stderr, place_mm, place_stderr, detectability, flags, np.zeros(len(force)))
 
     def _least_force_N(self) -> float:
         model = self.model

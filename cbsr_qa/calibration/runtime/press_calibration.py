@@ -38,6 +38,7 @@ from cbsr_qa.calibration.runtime.frames import read_frames
 from cbsr_qa.domain.errors import CalibrationError, RecordingError
 from cbsr_qa.domain.goodness import ALLOWANCE
 from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind
 from cbsr_qa.domain.results.press_calibration import PRESS_QUANTITIES, PressCalibration as Issued
 from cbsr_qa.domain.sensor.patterns import DrivePattern
@@ -63,11 +64,12 @@ class PressCalibration:
     ----------
     issued : content of the file; ``issued.pairs`` (m, 4) names each reading, ``issued.rest`` (m,) the unloaded frame.
     q68, q95 : the region of that probability is all offsets d with dᵀΣ⁻¹d at most this, Σ of ``covariance_mm2``.
-    lacks, regions : attributes of the Protocol.
+    lacks, regions, force_error : attributes of the Protocol.
     """
 
     sensor_type: None = None
     head: None = None
+    force_error: str = describe_force_error(())
 
     def __init__(self, issued: Issued) -> None:
         self.issued = issued
@@ -203,7 +205,12 @@ class PressCalibration:
             relative=rest_readings is not None,
             differences=unloaded.differences,
         )
-        return _Sequence(usable_mask, 0.0 if rest_readings is None else rest_readings.mean(axis=0), estimate)
+        remarks = (
+            (_UNCHECKED,)
+            if Ability.FORCE in self.lacks
+            else (_UNCHECKED, f"errors of force include {self.force_error}")
+        )
+        return _Sequence(usable_mask, 0.0 if rest_readings is None else rest_readings.mean(axis=0), estimate, remarks)
 
     def estimate_readings(
         self, pairs: Indices, readings: Array, *, relative: bool = False, differences: bool = False
@@ -255,7 +262,7 @@ class _Sequence:
     usable: Mask
     rest: Array | float
     estimate_rows: Callable[[Array], Touches]
-    remarks: tuple[str, ...] = (_UNCHECKED,)
+    remarks: tuple[str, ...]
 
     def estimate(self, frames: FrameBlock) -> Touches:
         return self.estimate_rows(whole_readings(frames)[:, self.usable] - self.rest)

@@ -49,14 +49,19 @@ class SettlingForces:
 
         CalibrationError as for :meth:`ForceStream.update`.
         """
+        # The shared error is not one of settling: it is added to the corrected force.
+        scatter_N = np.sqrt(np.maximum(forces.stderr_N**2 - forces.shared_stderr_N**2, 0.0))
+        single = replace(forces, stderr_N=scatter_N)
         corrections = [
-            self._sum_loads(self._stream.update(time, frame), forces.part(slice(n, n + 1)), time)
+            self._sum_loads(self._stream.update(time, frame), single.part(slice(n, n + 1)), time)
             for n, (time, frame) in enumerate(zip(time_s.tolist(), frames, strict=True))
         ]
         if not corrections:
             return forces, np.zeros(0)
         force, stderr, flags, settled_in_s = (np.array(column) for column in zip(*corrections, strict=True))
-        return replace(forces, force_N=force, stderr_N=stderr, flags=flags), settled_in_s
+        return self._calibration.shared_error.add(
+            replace(forces, force_N=force, stderr_N=stderr, flags=flags)
+        ), settled_in_s
 
     def add_frame(self, time_s: float, frame: Array, *, place_mm: ArrayLike | None = None) -> tuple[Forces, Array]:
         """Force of the next frame (drives, measures) [V], and the time (1,) until it counts [s].

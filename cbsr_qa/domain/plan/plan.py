@@ -9,6 +9,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings, CharacterisationSettings
 from cbsr_qa.domain.plan.gate import GateSettings
 from cbsr_qa.domain.plan.limits import Limit, LimitsVersion
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.readings.loads import Indenter
 
 
@@ -182,6 +183,7 @@ class Station:
     events : destinations of its runs' events, by name.
     signing_key : file with the private key that signs its calibrations; None: they are not signed.
     sync : centre to which its database is sent.
+    standards : reference standards that its forces are traced to; those that are missing are not stated.
     """
 
     name: str
@@ -199,6 +201,7 @@ class Station:
     gate: GateSettings = field(default_factory=GateSettings)
     signing_key: Path | None = None
     sync: SyncSettings = field(default_factory=SyncSettings)
+    standards: tuple[ReferenceStandard, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.imaging import LinearReconstruction, OverlapBand
 from cbsr_qa.domain.kept import FROM_ABOVE, NOT_KEPT, Kept
 from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
@@ -227,6 +228,7 @@ class Calibration:
     force : model that converts readings to newtons; None if the run's loads do not determine it.
     place : learned from the run's presses, where that is clearly better than the model of the sheet; else None.
     no_force : why there is no force model; empty if there is one.
+    standards : reference standards of the station that issued it; those that are missing were not stated.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     file : bytes of its file as it was issued; empty where it was read from something else.
@@ -263,6 +265,7 @@ class Calibration:
     force: ForceModel | None = None
     place: PlaceOfRun | None = None
     no_force: Annotated[str, FROM_ABOVE] = ""  # a text of the group ``force``, which encoding and decoding see to
+    standards: Annotated[tuple[ReferenceStandard, ...], Kept("standards/", since=6)] = ()
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

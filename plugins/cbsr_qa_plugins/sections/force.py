@@ -21,6 +21,7 @@ from cbsr_qa.calibration.force.learning import LearnedForce
 from cbsr_qa.calibration.force.sheet_pose import SheetPose
 from cbsr_qa.calibration.force.validity import prediction_words
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.plugin import Block, Cell, Figure, Paragraph, RunObservation, RunResult
 from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, force_figure, ratio_figure
 from cbsr_qa.report.draw.maps import SheetField, force_map_figure
@@ -54,6 +55,7 @@ class Force(ObservedSection):
             return
         tests = tests_of(run, force, HELD_OUT)
         yield Paragraph(_describe_model(run, force, learned))
+        yield Paragraph(_describe_error(result), "note")
         if force.sheet_pose.moved:
             yield Paragraph(_sheet_pose_words(force.sheet_pose), "note")
         if run.settings.learn_place:
@@ -65,6 +67,16 @@ class Force(ObservedSection):
         yield from (_ratios(run, force, learned), Paragraph(_describe_assumptions(learned), "note"))
         yield from (Paragraph(words, "warning") for words in _list_caveats(run, force, learned, tests))
         yield from _refusal_blocks(force, learned)
+
+
+def _describe_error(result: RunResult) -> str:
+    if result.calibration is None:
+        return "Standard errors in this section are of scatter only, against the station's own load cell."
+    included = describe_force_error(result.calibration.standards)
+    return (
+        "Standard errors in this section are of scatter only, against the station's own load cell. Those that the"
+        f" calibration states of a force: {included}."
+    )
 
 
 def _describe_model(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:

@@ -196,11 +196,12 @@ def test_apply_prints_a_row_a_frame(folder, calibration):
 def test_a_serial_number_that_nobody_states_is_said_not_to_be_checked(folder):
     apply = ("apply", folder / "sensor.h5", folder / "press.h5")
     done = _run(*apply, "--json")
-    (said,) = json.loads(done.stdout)["recordings"][0]["remarks"]
+    errors, said = json.loads(done.stdout)["recordings"][0]["remarks"]
+    assert errors == "errors of force include scatter only; load cell not stated"
     assert said.startswith("not checked: that it is of sensor S-1, as the calibration is")
     assert "not checked: that it is of sensor S-1" in _run(*apply).stdout
     own = json.loads(_run(*apply, "--json", "--serial", "S-1").stdout)
-    assert own["recordings"][0]["remarks"] == []
+    assert own["recordings"][0]["remarks"] == [errors]
 
 
 @pytest.mark.parametrize(

@@ -35,6 +35,7 @@ class BatchEstimator:
     """A third way to calibrate, learned from other sensors of a batch: the sum of a frame's change is its force."""
 
     head = None
+    force_error = "scatter only; load cell not stated"
 
     def __init__(self, issued, *, regions=False, force=True):
         self.issued = issued

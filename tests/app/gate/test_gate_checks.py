@@ -5,6 +5,7 @@ from dataclasses import replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
+from calibration_samples import LOAD_CELL
 from stored_lots import judged, store_run
 from stored_runs import identity, journalled, short_run
 
@@ -163,6 +164,17 @@ def test_an_instrument_is_in_time_until_the_end_of_its_day(ask, merged):
         late = replace(spec, calibration_due=(today + timedelta(days=days)).isoformat())
         of = replace(merged, station=replace(merged.station, instruments=(late,)))
         assert ask("calibration_due", "warn", configuration=of).outcome is outcome
+
+
+def test_a_reference_standard_is_in_time_until_the_end_of_its_day(ask, merged):
+    today = datetime.now(UTC).date()
+    for days, outcome in ((0, GateOutcome.PASSED), (-1, GateOutcome.REFUSED)):
+        due = (today + timedelta(days=days)).isoformat()
+        of = replace(merged, station=replace(merged.station, standards=(replace(LOAD_CELL, due=due),)))
+        answer = ask("calibration_due", "refuse", configuration=of)
+        assert answer.outcome is outcome
+        if days < 0:
+            assert f"the calibration of the load cell (certificate K-2026-0711) was due on {due}" in answer.words
 
 
 def measured_golden(store, run, *, ago=timedelta(), outcome=CheckOutcome.OK):

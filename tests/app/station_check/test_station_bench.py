@@ -5,6 +5,7 @@ from datetime import date
 
 import numpy as np
 import pytest
+from calibration_samples import INDENTER, LOAD_CELL
 
 from cbsr_qa.app.station_check.bench import look_at_bench, with_ring
 from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError, RefusedError
@@ -144,6 +145,16 @@ def test_calibration_dates_are_held_against_the_stations_policy(simulated, polic
     assert (late.outcome, late.value, today.outcome, today.value) == (outcome, -1.0, OK, 0.0)
     assert late.said.startswith("due on 2026-11-21; runs")
     assert ("load_cell", "calibration due") not in bench.lines
+
+
+def test_a_reference_standard_is_shown_with_its_certificate_and_date(simulated):
+    bench = Bench(simulated, standards=(LOAD_CELL, replace(INDENTER, due="2026-11-21")))
+    bench.look()
+    load_cell = bench.lines["standards.load_cell", "calibration due"]
+    indenter = bench.lines["standards.indenter", "calibration due"]
+    assert (load_cell.outcome, load_cell.said) == (OK, LOAD_CELL.words())
+    assert indenter.outcome is WARNING
+    assert indenter.said == "U = 0.02 mm (k = 2), certificate L-99 of D-K-15001, due 2026-11-21; runs carry a warning"
 
 
 def silent(bench):

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from calibration_samples import edited, forged, sample_calibration
 
-from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT
+from cbsr_qa.calibration.file.content import FORMAT, latest_version
 from cbsr_qa.calibration.file.hdf5 import read_calibration, verify_calibration_file, write_calibration
 from cbsr_qa.domain.errors import CalibrationError
 
@@ -70,7 +70,7 @@ _UNSOUND = {
     "one less": (lambda file: file.__delitem__("image/mask"), _CHANGED),
     "no digest": (lambda file: file.attrs.__delitem__("digest"), "states no SHA-256"),
     "a digest to print": (_attribute("digest", "\x1b[31mred"), "states no SHA-256"),
-    "later version": (_attribute("schema_version", np.int64(99)), f"version 99.*up to {FIRST_VERSION[FORMAT]}"),
+    "later version": (_attribute("schema_version", np.int64(99)), f"version 99.*up to {latest_version(FORMAT)}"),
     "version 0": (_attribute("schema_version", np.int64(0)), "version"),
     "half a version": (_attribute("schema_version", np.float64(1.0)), "version"),
     "version in words": (_attribute("schema_version", "1"), "version"),

@@ -9,7 +9,7 @@ from calibration_samples import assert_same, sample_calibration, sparse_calibrat
 from hypothesis import given, strategies as st
 from hypothesis.extra import numpy as hnp
 
-from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT, Entry, content_digest
+from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT, Entry, content_digest, latest_version
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, write_calibration
 from cbsr_qa.calibration.file.json import _entry, dataset, json_document, read_json_calibration
 from cbsr_qa.domain.errors import CalibrationError
@@ -84,7 +84,7 @@ def _first(path, value):
 _EDITED = {
     "future": (
         lambda d: d.update(schema_version=99),
-        f"schema_version is 99; this program knows version {FIRST_VERSION[FORMAT]}",
+        f"schema_version is 99; this program knows versions {FIRST_VERSION[FORMAT]} to {latest_version(FORMAT)}",
     ),
     "of before": (lambda d: d.update(schema_version=4), "written to schema version 4, from before version 0.1.0"),
     "text for version": (lambda d: d.update(schema_version="2"), 'schema_version is "2"'),

@@ -1,23 +1,26 @@
 """Versions of the calibration file: those from before 0.1.0 are refused, and a later one only adds entries."""
 
 import hashlib
-from dataclasses import dataclass, fields
+import json
+from dataclasses import dataclass, fields, replace
 from typing import Annotated
 
 import numpy as np
 import pytest
-from calibration_samples import edited, forged, sample_calibration
+from calibration_samples import INDENTER, LOAD_CELL, edited, forged, sample_calibration
 
 from cbsr_qa.calibration.file import content, entries
-from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT, PRESS_FORMAT
+from cbsr_qa.calibration.file.content import FIRST_VERSION, FORMAT, PRESS_FORMAT, latest_version
 from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibration_file, write_calibration
+from cbsr_qa.calibration.file.json import json_document, read_json_calibration
 from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 from cbsr_qa.domain.kept import Kept
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 
 FIRST = FIRST_VERSION[FORMAT]
-LATER = FIRST + 1
+KNOWN = latest_version(FORMAT)
+LATER = KNOWN + 1
 
 
 @dataclass(frozen=True, repr=False)
@@ -58,6 +61,15 @@ def test_what_is_issued_now_is_of_the_first_version(issued):
     assert verify_calibration_file(issued).schema_version == FIRST
 
 
+def test_reference_standards_come_back_and_raise_the_version(tmp_path):
+    path, sample = tmp_path / "traced.h5", replace(sample_calibration(), standards=(LOAD_CELL, INDENTER))
+    write_calibration(path, sample)
+    assert verify_calibration_file(path).schema_version == KNOWN == 6
+    assert read_calibration(path).standards == (LOAD_CELL, INDENTER)
+    (tmp_path / "traced.json").write_text(json.dumps(json_document(stamp(sample))))
+    assert read_json_calibration(tmp_path / "traced.json").standards == (LOAD_CELL, INDENTER)
+
+
 @pytest.mark.usefixtures("later")
 def test_a_field_that_is_added_later_comes_back_and_raises_the_version(tmp_path):
     path = tmp_path / "later.h5"
@@ -81,7 +93,7 @@ def test_a_file_of_a_later_version_is_refused_by_this_one(tmp_path, monkeypatch)
     with monkeypatch.context() as patched:
         patched.setattr(content, "_KINDS", {FORMAT: LaterCalibration, PRESS_FORMAT: PressCalibration})
         write_calibration(path, later_sample(55.0))
-    with pytest.raises(CalibrationError, match=f"schema version {LATER}; this program knows versions up to {FIRST}"):
+    with pytest.raises(CalibrationError, match=f"schema version {LATER}; this program knows versions up to {KNOWN}"):
         read_calibration(path)
 
 

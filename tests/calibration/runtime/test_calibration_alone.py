@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 from bare_environments import run_beside
-from calibration_samples import sample_calibration
+from calibration_samples import INDENTER, LOAD_CELL, sample_calibration
 from force_calibration import NOISE_V, force_calibration, frames
 
 from cbsr_qa.calibration.file.entries import encode
@@ -104,7 +104,7 @@ def test_every_dataset_is_on_the_page_with_its_unit_and_kind_and_no_other():
     rows = re.findall(r"^\| `([^`]+)`( \(where it applies\))? \| ([^|]+) \| ([^|]+) \|", _PAGE, re.M)
     said = {path: (units.strip(), kind.strip()) for path, optional, units, kind in rows if not optional}
     found = {}
-    sample = sample_calibration()
+    sample = replace(sample_calibration(), standards=(LOAD_CELL, INDENTER))
     filed = replace(sample, reconstruction=as_filed(sample.reconstruction))
     for path, entry in encode(filed).items():
         name = re.sub(r"^force/(un)?loading/", "force/<direction>/", path)
