@@ -5,7 +5,8 @@ With p sensors, o stations and r trials the expected mean squares are
     MS_sensor = σ² + r σ²_so + o r σ²_s,    MS_station = σ² + r σ²_so + p r σ²_o,
     MS_inter = σ² + r σ²_so,                MS_trial = σ²
 
-The interaction is pooled with the trials where its p value is above 0.25.
+The interaction is pooled with the trials where its p value is above 0.25; F of sensor and station is then against the
+pooled mean square (SS_inter + SS_trial)/(ν_inter + ν_trial).
 
 Intervals of γ = Σ c_q θ_q are modified large-sample ones, exact whenever all but one θ vanish (Graybill & Wang 1980
 for sums; Ting, Burdick, Graybill, Jeyaratnam & Lu 1990 with differences; Burdick & Graybill 1992, section 3.3).
@@ -123,11 +124,12 @@ class Source(StrEnum):
     SENSOR = "sensor"
     INTERACTION = "sensor × station"
     TRIAL = "repeated runs"
+    POOLED = "pooled: interaction and repeated runs"
 
 
 @dataclass(frozen=True, slots=True)
 class Row:
-    """One source of variation; F and its p value are None for repeated runs."""
+    """One source of variation; F and its p value are None for repeated runs and what is pooled with them."""
 
     source: str
     sum_of_squares: float
@@ -143,7 +145,8 @@ class GaugeAnova(Variation):
 
     Parameters
     ----------
-    table : before pooling, F of sensor and appraiser against the interaction.
+    table : F of sensor and appraiser is against the interaction, or where that is pooled against the pooled mean
+        square, which is the last row.
     interaction_pooled : whether the interaction is part of repeatability.
     appraiser_variance, interaction_variance : the two parts of reproducibility; the second is None where pooled.
     gauge_percent_contribution_interval : interval of the gauge's share of the total variance [%].
@@ -210,7 +213,7 @@ def gauge_anova(study: Study, *, tolerance: float | None = None, confidence: flo
         categories=shares.categories,
         categories_uncut=shares.categories_uncut,
         notes=shares.notes,
-        table=tuple(rows.values()),
+        table=_pool_table(rows) if pooled else tuple(rows.values()),
         interaction_pooled=pooled,
         appraiser_variance=station.value,
         interaction_variance=None if interaction is None else interaction.value,
@@ -234,6 +237,18 @@ def _table(study: Study) -> dict[Source, Row]:
     against = {Source.STATION: inner, Source.SENSOR: inner, Source.INTERACTION: trial, Source.TRIAL: None}
     names = {source: str(source).replace(str(Source.STATION), study.appraiser) for source in Source}
     return {source: _row(names[source], *squares[source], below) for source, below in against.items()}
+
+
+def _pool_table(rows: dict[Source, Row]) -> tuple[Row, ...]:
+    """Return the table with F of sensor and appraiser against the interaction and the trials together."""
+    inner, trial = rows[Source.INTERACTION], rows[Source.TRIAL]
+    squares = inner.sum_of_squares + trial.sum_of_squares
+    freedom = inner.degrees_of_freedom + trial.degrees_of_freedom
+    station, sensor = (
+        _row(row.source, row.sum_of_squares, row.degrees_of_freedom, (squares, freedom))
+        for row in (rows[Source.STATION], rows[Source.SENSOR])
+    )
+    return station, sensor, inner, trial, _row(Source.POOLED, squares, freedom, None)
 
 
 def _row(source: str, squares: float, freedom: int, below: tuple[float, int] | None) -> Row:

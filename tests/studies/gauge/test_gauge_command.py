@@ -134,7 +134,7 @@ def test_a_study_of_operators_speaks_of_operators(tmp_path, command, document):
     assert "The estimated operator variance is negative" in out
     assert "station variance" not in out
     assert {row["source"] for row in document(tmp_path / "runs.db", *asked)["metrics"][0]["anova"]["table"]} == {
-        "operator", "sensor", "sensor × operator", "repeated runs"
+        "operator", "sensor", "sensor × operator", "repeated runs", "pooled: interaction and repeated runs"
     }  # fmt: skip
     assert "sensor × operator" in (tmp_path / "page.html").read_text()
     with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
