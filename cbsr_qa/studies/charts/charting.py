@@ -13,7 +13,7 @@ import numpy as np
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.results.charts import ChartKind, ChartReference, ChartSettings, StandingSignal
 from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunFigure, RunLine
-from cbsr_qa.report.tables import list_names, plural
+from cbsr_qa.report.tables import list_names, number, plural
 from cbsr_qa.stats.control_charts import (
     SUM,
     Chart,
@@ -26,6 +26,7 @@ from cbsr_qa.stats.control_charts import (
     moving_range,
 )
 from cbsr_qa.stats.nelson import Rule
+from cbsr_qa.stats.serial_correlation import FEWEST, correlate_successive, ewma_beyond, individuals_beyond
 from cbsr_qa.studies.figure_series import Series, figures_of
 
 #: Number of points without a signal after which a signal is over: lasting changes signal repeatedly, and false
@@ -155,6 +156,8 @@ def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
 
 #: Largest number of runs drawn; of longer charts the latest runs are drawn.
 MOST_DRAWN: Final = 400
+#: p value below which successive values are said to be alike.
+_CORRELATION_LEVEL: Final = 0.05
 #: Number of runs below which the uncertainty of limits is reported.
 FEW_RUNS: Final = 25
 
@@ -162,6 +165,10 @@ FEW_RUNS: Final = 25
 _FEW: Final = "limits from {runs} runs are uncertain: false alarms may be several times as frequent"
 _DOUBTFUL: Final = "the reference period itself breaks rules, so its limits are doubtful: {rules}"
 _ANEW: Final = "{count} of the {runs} runs of the reference have a value now: some were analysed again"
+_CORRELATED: Final = (
+    "successive values of the reference period are alike (correlation {coefficient:.2f}, p = {p}): its limits, from"
+    " the scatter of neighbours, are too narrow{share}"
+)
 _REST: Final = "the latest {runs} do not fill a group of {size} yet, and make no point"
 
 
@@ -235,6 +242,7 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
     notes = (
         _FEW.format(runs=reference.runs) if reference.runs < FEW_RUNS else "",
         _DOUBTFUL.format(rules=list_names(list(doubtful_rules))) if doubtful_rules else "",
+        _describe_correlation(series.values[:count], reference),
         _ANEW.format(count=count, runs=reference.runs) if count != reference.runs else "",
         _REST.format(runs=plural(ungrouped_count, "run"), size=reference.subgroup) if ungrouped_count else "",
     )
@@ -253,6 +261,26 @@ def metric_chart(series: Series, reference: ChartReference) -> MetricChart:
             *_phases(monitored_charts, lines[count:], "monitored"),
         ),
     )
+
+
+def _describe_correlation(values: Sequence[float], settings: ChartSettings) -> str:
+    """Return a note if the values of a reference period depend on those before them; else empty."""
+    if len(values) < FEWEST or settings.chart is ChartKind.MEANS:
+        return ""
+    correlation = correlate_successive(values)
+    if correlation.p > _CORRELATION_LEVEL or correlation.coefficient <= 0:
+        return ""
+    coefficient = correlation.coefficient
+    shares: tuple[float, ...] = ()
+    if settings.chart is ChartKind.EWMA:
+        shares = tuple(ewma_beyond(value, settings.weight, settings.width) for value in (0.0, coefficient))
+    elif settings.chart is ChartKind.INDIVIDUALS:
+        shares = (individuals_beyond(0.0), individuals_beyond(coefficient))
+    share = ", and false signals are several times as frequent"
+    if shares:
+        usual, beyond = (number(100 * value, 2) for value in shares)
+        share = f": some {beyond} % of undisturbed runs are beyond them, instead of {usual} %"
+    return _CORRELATED.format(coefficient=coefficient, p=number(correlation.p, 2), share=share)
 
 
 def _charts(values: Sequence[float], settings: ChartSettings, standard: Standard) -> tuple[Charted, ...]:

@@ -72,6 +72,27 @@ def test_the_page_says_where_limits_are_and_whose(tmp_path, command, kind, words
     assert f"force gain, chart {kind} N/V " in out
 
 
+@pytest.mark.parametrize(
+    ("kind", "share"),
+    [
+        ("i-mr", "% of undisturbed runs are beyond them, instead of 0.27 %"),
+        ("ewma", "% of undisturbed runs are beyond them, instead of 0.27 %"),
+        ("cusum", "and false signals are several times as frequent"),
+    ],
+)
+def test_a_reference_whose_runs_are_like_their_neighbours_is_doubted(tmp_path, command, kind, share):
+    random = np.random.default_rng(30)
+    noise = random.standard_normal(40)
+    wandering = 10 + 0.1 * np.array([0.7 ** np.arange(n + 1) @ noise[n::-1] for n in range(40)])
+    fill(tmp_path / "wandering.db", wandering)
+    asked = ("--reference-runs", 40, "--dry-run", "--chart", kind)
+    said = command(tmp_path / "wandering.db", *asked)[1]
+    assert "values of the reference period are alike (correlation 0." in said
+    assert share in said
+    fill(tmp_path / "steady.db", 10 + 0.1 * noise)
+    assert "alike (correlation" not in command(tmp_path / "steady.db", *asked)[1]
+
+
 def test_other_charts_of_a_metric_hold_on_until_they_are_retired(tmp_path, command, capsys):
     path = tmp_path / "runs.db"
     fill(path, values(shift=0.8))
