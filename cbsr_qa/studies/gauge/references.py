@@ -17,6 +17,8 @@ from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.results.fleet import RunLine
 from cbsr_qa.plugin.problems import Table
 from cbsr_qa.stats.gauge.reference import bias, linearity, stability
+from cbsr_qa.stats.gauge.type1 import study_type1
+from cbsr_qa.stats.process_capability import Index
 from cbsr_qa.stats.samples import Estimate
 from cbsr_qa.studies.figure_series import Series
 from cbsr_qa.studies.selection import clock_notes
@@ -105,12 +107,34 @@ class BiasStability:
 
 
 @dataclass(frozen=True, slots=True)
+class Type1:
+    """Type 1 study of one appraiser at one reference.
+
+    Parameters
+    ----------
+    tolerance : width of the metric's limits, in its unit.
+    cg, cgk : indices of repeatability, and of repeatability and bias; None for the reason ``why``.
+    capable : whether both are shown to reach 1.33; None if that is not shown.
+    """
+
+    serial: str
+    appraiser: str
+    runs: int
+    tolerance: float
+    cg: Index | None = None
+    cgk: Index | None = None
+    capable: bool | None = None
+    why: str = ""
+
+
+@dataclass(frozen=True, slots=True)
 class AgainstReferences:
-    """One metric compared with reference values."""
+    """One metric compared with reference values; ``type1`` is empty for a metric without a tolerance."""
 
     bias: tuple[Bias, ...]
     linearity: tuple[BiasLinearity, ...]
     stability: tuple[BiasStability, ...]
+    type1: tuple[Type1, ...]
 
 
 _Name = Annotated[str, Field(min_length=1, max_length=64)]
@@ -176,14 +200,18 @@ def _parse_option(text: str) -> ReferenceValue:
 
 
 def against_references(
-    series: Series, appraisers: Sequence[str], references: Sequence[ReferenceValue], confidence: float
+    series: Series,
+    appraisers: Sequence[str],
+    references: Sequence[ReferenceValue],
+    confidence: float,
+    tolerance: float | None = None,
 ) -> AgainstReferences | None:
     """Compare the runs of one metric with its reference values; None without any."""
     metric_references = [reference for reference in references if reference.metric == series.key.name]
     if not metric_references:
         return None
     rows = list(zip(series.lines, series.values, appraisers, strict=True))
-    biases, stabilities = [], []
+    biases, stabilities, type1_studies = [], [], []
     for reference in metric_references:
         sensor_rows = [(line, value, appraiser) for line, value, appraiser in rows if line.serial == reference.serial]
         for appraiser in sorted({appraiser for _, _, appraiser in sensor_rows}):
@@ -193,6 +221,8 @@ def against_references(
             )
             biases.append(_bias(reference, series.unit, appraiser, values, confidence))
             stabilities.append(_stability(reference, appraiser, lines, values, confidence))
+            if tolerance is not None:
+                type1_studies.append(_type1(reference, appraiser, values, tolerance, confidence))
         if not sensor_rows:
             biases.append(_bias(reference, series.unit, "", (), confidence))
     measuring_appraisers = sorted(
@@ -206,7 +236,7 @@ def against_references(
         _linearity(metric_references, [row for row in rows if row[2] == appraiser], appraiser, confidence)
         for appraiser in measuring_appraisers
     )
-    return AgainstReferences(tuple(biases), slopes, tuple(stabilities))
+    return AgainstReferences(tuple(biases), slopes, tuple(stabilities), tuple(type1_studies))
 
 
 def _bias(reference: ReferenceValue, unit: str, who: str, values: Sequence[float], confidence: float) -> Bias:
@@ -219,6 +249,19 @@ def _bias(reference: ReferenceValue, unit: str, who: str, values: Sequence[float
         except NumericsError as error:
             why = error.reason
     return Bias(reference.serial, reference.value, reference.uncertainty, unit, who, len(values), estimate, why)
+
+
+def _type1(
+    reference: ReferenceValue, who: str, values: Sequence[float], tolerance: float, confidence: float
+) -> Type1:
+    without_indices = Type1(reference.serial, who, len(values), tolerance)
+    try:
+        study = study_type1(
+            values, reference.value, tolerance, uncertainty=reference.uncertainty, confidence=confidence
+        )
+    except NumericsError as error:
+        return replace(without_indices, why=error.reason)
+    return replace(without_indices, cg=study.cg, cgk=study.cgk, capable=study.capable())
 
 
 def _stability(

@@ -17,8 +17,9 @@ from cbsr_qa.report.tables import (
     with_uncertainty,
 )
 from cbsr_qa.stats.gauge.reference import FEWEST_CHARTED
+from cbsr_qa.stats.gauge.type1 import CAPABLE, SHARE_OF_TOLERANCE
 from cbsr_qa.stats.samples import Estimate, Interval
-from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability
+from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability, Type1
 from cbsr_qa.studies.gauge.study import GaugeStudy, MetricGauge
 
 #: AIAG's bands for the gauge's share of the study variation or of the tolerance [%], and for categories.
@@ -239,9 +240,23 @@ def _reference_tables(references: AgainstReferences, unit: str, of: GaugeStudy) 
     yield from _table("Linearity of the bias", columns, references.linearity, _linearity, range(1, 4))
     columns = ("sensor", appraiser, unit_column("drift per day", unit), interval_column, "control chart")
     yield from _table("Stability over time", columns, references.stability, _stability, range(2, 4))
+    columns = (
+        "sensor",
+        appraiser,
+        "runs",
+        "Cg",
+        interval_column,
+        "Cgk",
+        interval_column,
+        f"both {CAPABLE:g} or more",
+    )
+    title = (
+        f"Type 1 study: {100 * SHARE_OF_TOLERANCE:g} % of the tolerance over six standard deviations (Cg), less the"
+    )
+    yield from _table(f"{title} bias (Cgk)", columns, references.type1, _type1, range(2, 7))
 
 
-_Row = TypeVar("_Row", Bias, BiasLinearity, BiasStability)
+_Row = TypeVar("_Row", Bias, BiasLinearity, BiasStability, Type1)
 
 
 def _table(
@@ -290,6 +305,19 @@ def _stability(stability: BiasStability) -> tuple[str, ...]:
         return stability.serial, stability.appraiser, *[_NONE] * 3
     chart = f"fewer than {FEWEST_CHARTED} runs" if stability.in_control is None else stability.signal or "in control"
     return stability.serial, stability.appraiser, *_format_estimate(stability.drift_per_day), chart
+
+
+def _type1(study: Type1) -> tuple[str, ...]:
+    first_cells = (study.serial, study.appraiser, str(study.runs))
+    if study.cg is None or study.cgk is None:
+        return *first_cells, *[_NONE] * 5
+    indices = [
+        cell
+        for index in (study.cg, study.cgk)
+        for cell in (format_fixed(index.value, 2), f"{format_fixed(index.low, 2)} to {format_fixed(index.high, 2)}")
+    ]
+    capable = "not shown" if study.capable is None else "yes" if study.capable else "no"
+    return *first_cells, *indices, capable
 
 
 def _format_estimate(estimate: Estimate) -> tuple[str, str]:

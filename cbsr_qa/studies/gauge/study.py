@@ -194,7 +194,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
         runs=len(series.values),
         missing=missing_cells,
         notes=series.notes,
-        references=against_references(series, appraisers, request.references, request.confidence),
+        references=against_references(series, appraisers, request.references, request.confidence, wanted.tolerance),
         why=why,
     )
     if why:

@@ -192,6 +192,30 @@ def test_bias_is_held_against_reference_values(crossed, document):
     }
 
 
+def test_one_golden_sensor_on_one_station_is_a_type_1_study(tmp_path, command, document):
+    random = np.random.default_rng(12)
+    rows = [("G-01", "bench-a", day, (value, value)) for day, value in enumerate(10 + 0.02 * random.normal(size=25))]
+    fill(tmp_path / "runs.db", rows)
+    asked = ("--recipe", "short", "--reference", "G-01.force_gain=10.01")
+    (metric,) = document(tmp_path / "runs.db", *asked)["metrics"]
+    (study_1,) = metric["references"]["type1"]
+    readings = np.array([row[3][0] for row in rows])
+    assert (study_1["serial"], study_1["appraiser"], study_1["runs"], study_1["tolerance"]) == (
+        "G-01",
+        "bench-a",
+        25,
+        4.0,
+    )
+    assert study_1["cg"]["value"] == pytest.approx(0.2 * 4 / (6 * readings.std(ddof=1)))
+    assert study_1["cgk"]["value"] < study_1["cg"]["value"]
+    assert study_1["capable"] is True
+    said = " ".join(command(tmp_path / "runs.db", *asked)[1].split())
+    assert "Type 1 study: 20 % of the tolerance over six standard deviations (Cg), less the bias (Cgk)." in said
+    (of_five_days,) = document(tmp_path / "runs.db", *asked, "--until", "2026-11-25")["metrics"]
+    (too_few,) = of_five_days["references"]["type1"]
+    assert (too_few["cg"], too_few["why"]) == (None, "type 1 study: 5 values instead of at least 10")
+
+
 def test_linearity_knows_how_well_the_references_are_known(crossed, document):
     exact = ("--reference", "S-01.force_gain=11", "--reference", "S-02.force_gain=8")
     unsure = ("--reference", "S-01.force_gain=11±1", "--reference", "S-02.force_gain=8±1")
