@@ -35,7 +35,7 @@ def test_commands_that_are_shown_exist():
 
 
 @pytest.mark.rest
-def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
+def test_the_tour_of_the_readme_runs_as_printed(tmp_path, monkeypatch, capsys):
     export, first, *others = commands(TOP / "README.md")
     assert len(others) >= 8
     assert export.startswith("export PATH")
@@ -43,6 +43,12 @@ def test_the_tour_of_the_readme_runs_as_printed(tmp_path):
     for command in others:
         assert typed(tmp_path, command).stdout.strip(), command
     assert [path.name for path in tmp_path.iterdir()] == ["var"]
+    monkeypatch.chdir(tmp_path)
+    (snippet,) = blocks(TOP / "README.md", "python")
+    exec(snippet, {})
+    assert re.fullmatch(
+        r"up to \d\.\d\d N; errors include scatter only; load cell not stated\n", capsys.readouterr().out
+    )
 
 
 @pytest.mark.rest

@@ -20,12 +20,14 @@ _AVERAGED_NOTE: Final = (
     "counts once"
 )
 _SCATTER_NOTE: Final = (
-    "{low} scatters least and {high} most, {times:.2g} times as much: each is weighted by its own scatter"
+    "{low} scatters least and {high} most, {times} times as much: each is weighted by its own scatter"
 )
 _SESSIONS_NOTE: Final = (
     "groups differ from station to station by more than their sensors explain (lack of fit, p = {p:.1g}): intervals "
     "include a deviation of {deviation:.2g} between a group's sessions at stations"
 )
+#: Largest ratio of deviations that is stated: of values all alike it says nothing.
+_MOST_TIMES: Final = 100
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -78,7 +80,8 @@ def fit_model(design: Crossing, values: Array, what: str, *, of_stations: bool) 
         if final_fit.scatter is not None:
             deviations, names = final_fit.scatter.sensor_deviations, final_fit.design.groups
             low, high = int(np.argmin(deviations)), int(np.argmax(deviations))
-            times = float(deviations[high] / deviations[low])
+            ratio = float(deviations[high] / deviations[low])
+            times = f"{ratio:.2g}" if ratio < _MOST_TIMES else f"more than {_MOST_TIMES}"
             notes.append(_SCATTER_NOTE.format(low=names[low], high=names[high], times=times))
         final_fit = replace(final_fit, notes=(*final_fit.notes, *notes))
         return Fitted(final_fit, "", of_stations, fit_session_means(final_fit, values))
