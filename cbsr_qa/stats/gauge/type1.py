@@ -18,7 +18,7 @@ from scipy.special import ndtri
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.stats.gauge.crossed_study import check_tolerance
 from cbsr_qa.stats.process_capability import Index, capability
-from cbsr_qa.stats.samples import sample
+from cbsr_qa.stats.samples import constant, sample
 
 #: Least number of readings; 25 to 50 are usual.
 FEWEST: Final = 10
@@ -71,6 +71,11 @@ def study_type1(
     """
     check_tolerance(tolerance)
     values = sample(readings, "type 1 study", least=FEWEST)
+    if constant(values):
+        raise NumericsError(
+            f"type 1 study: all {len(values)} readings are {values[0]:.6g}, so there is no scatter to state",
+            remedy="record readings with more digits",
+        )
     half_width = SHARE_OF_TOLERANCE * tolerance / 2
     if not uncertainty >= 0:
         raise NumericsError(
