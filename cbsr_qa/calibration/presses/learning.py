@@ -6,6 +6,7 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place.faulty import Modelled
 from cbsr_qa.calibration.place.features import ring_axes
 from cbsr_qa.calibration.place.learning import PlaceLearned, learn_place
 from cbsr_qa.calibration.place.modelled import ModelledEstimator, with_variance
@@ -23,7 +24,7 @@ from cbsr_qa.calibration.presses.odd_labels import (
 from cbsr_qa.calibration.presses.row_order import RowOrder, find_row_order, guess_error
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain.errors import CalibrationError, NumericsError, RecordingError
-from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import ModelledPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.press_calibration import (
@@ -120,7 +121,14 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     time_s = None if presses.time_s is None else presses.time_s[used_mask]
     place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
     learned_place = _learn_place(
-        labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell
+        labelled.sensor_type,
+        order,
+        readings.changes[used_mask],
+        place_mm,
+        time_s,
+        missing,
+        _expect_changes(sheet, order, readings.changes, used_mask) if registration.trusted else None,
+        tell,
     )
     if readings.noise is not None:
         noise = np.where(learned_place.model.scaling.ceiling > 0, readings.noise, 0.0)  # noise of the used readings
@@ -182,6 +190,7 @@ def _learn_place(
     place_mm: Array,
     time_s: Array | None,
     missing: Mask,
+    modelled: Modelled | None,
     tell: Tell,
 ) -> PlaceLearned:
     """Learn the place, starting from the registered pose if that is trusted."""
@@ -200,8 +209,25 @@ def _learn_place(
         axes=axes,
         time_s=time_s,
         missing=missing,
+        modelled=modelled,
         tell=tell,
     )
+
+
+def _expect_changes(sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, used: Mask) -> Modelled:
+    """Return what the registered sheet lets expect of the used presses that are clear of edge and electrodes."""
+    places = order.registered.places[used]
+
+    def expect(presses: Indices) -> Array:
+        expected = np.full((len(presses), len(order.pairs)), np.nan)
+        clear_mask = sheet.clear(places[presses])
+        if clear_mask.any():
+            answers = answering_side(sheet, order.pairs, changes).answers
+            loads = sheet.loads(places[presses[clear_mask]])
+            expected[clear_mask] = order.registered.sign * loads.readings(order.pairs) * answers
+        return expected
+
+    return expect
 
 
 def _model_place(
