@@ -10,7 +10,7 @@ from cbsr_qa.calibration.place.faulty import Modelled
 from cbsr_qa.calibration.place.features import ring_axes
 from cbsr_qa.calibration.place.learning import PlaceLearned, learn_place
 from cbsr_qa.calibration.place.modelled import ModelledEstimator, with_variance
-from cbsr_qa.calibration.place.quantity import learn_quantity
+from cbsr_qa.calibration.place.quantity import is_untold, learn_quantity
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
@@ -266,10 +266,14 @@ def _warn_of_poor_estimate(name: str, quantity: LearnedQuantity) -> Iterator[str
     guessed = float(np.abs(quantity.values - np.median(quantity.values)).mean())
     if quantity.error > _UNINFORMATIVE_SHARE * guessed:
         unit = PRESS_QUANTITIES[name]
-        yield (
-            f"the readings hardly tell the {name}: presses left out are missed by {quantity.error:.2g} {unit}, where"
-            f" the middle of all presses misses them by {guessed:.2g} {unit}"
-        )
+        words = f"the readings hardly tell the {name}"
+        if is_untold(quantity):
+            yield f"{words}: every press is given the middle of all, which misses them by {guessed:.2g} {unit}"
+        else:
+            yield (
+                f"{words}: presses left out are missed by {quantity.error:.2g} {unit}, where"
+                f" the middle of all presses misses them by {guessed:.2g} {unit}"
+            )
 
 
 def _find_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:

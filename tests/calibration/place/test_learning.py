@@ -9,6 +9,8 @@ from pressed_sheets import adjacent_pairs, pressed_sheet
 
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.features import pattern_turns
+from cbsr_qa.calibration.place.held_out import PressedSheet
 from cbsr_qa.calibration.place.learning import _reach, learn_place
 from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.domain.errors import CalibrationError
@@ -283,6 +285,18 @@ def test_an_electrode_whose_readings_are_noise_in_some_presses_does_not_make_suc
     assert off_mm[:30].mean() < 0.3
     assert places.in_model[:30].mean() > 0.9
     assert places.in_model[30:].mean() < 0.1
+
+
+@pytest.mark.parametrize("places", [50, 130, 900])
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_every_press_is_located_once_from_other_places(places, repeats):
+    places_mm = np.repeat(np.random.default_rng(1).uniform(-40, 40, (places, 2)), repeats, axis=0)
+    sheet = PressedSheet(pattern_turns(adjacent_pairs(), 16), np.zeros((len(places_mm), 208)), places_mm)
+    splits = sheet.presses_for_scales()
+    assert sorted(np.concatenate([located for _, located in splits])) == list(range(len(places_mm)))
+    for learned, located in splits:
+        assert not np.isin(sheet.visits[learned], sheet.visits[located]).any()
+        assert len(learned) == len(set(learned)) <= 200
 
 
 @pytest.mark.rest
