@@ -126,6 +126,7 @@ def pressed_sheet(
     uneven=0.0,
     rectified=False,
     wired=None,
+    electrodes=16,
 ):
     """Press a simulated sheet.
 
@@ -133,7 +134,8 @@ def pressed_sheet(
     answer per force, over some 20 mm; ``wired``: electrode that each number of the pattern is wired to.
     """
     random = np.random.default_rng(seed)
-    sensor, pairs = round_sensor(radius_mm), opposite_pairs() if pairs is None else pairs
+    sensor = round_sensor(radius_mm, electrodes)
+    pairs = opposite_pairs(electrodes) if pairs is None else pairs
     angle, far = random.uniform(0, 2 * np.pi, count), reach * radius_mm * np.sqrt(random.uniform(0, 1, count))
     places = np.column_stack([far * np.cos(angle), far * np.sin(angle)])
     force = random.uniform(1.0, 5.0, count)

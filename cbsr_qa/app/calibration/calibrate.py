@@ -34,11 +34,17 @@ _MOST_ROWS: Final = 10
 
 @dataclass(frozen=True, slots=True)
 class HeldOutPlaces:
-    """Error of place of presses left out [mm]: mean, its standard error, and their number."""
+    """Error of place of presses left out [mm]: mean, its standard error, and their number.
+
+    Parameters
+    ----------
+    not_counted : why ``n`` is not the number of presses that were used; None if it is.
+    """
 
     mean: float | None
     stderr: float | None
     n: int
+    not_counted: str | None
 
 
 @dataclass(frozen=True, slots=True)
@@ -48,19 +54,25 @@ class HeldOutQuantity:
     Parameters
     ----------
     coverage : share of them whose interval of 68 and 95 % holds the label.
+    not_counted : why ``n`` is not the number of presses that were used; None if it is.
     """
 
     mean: float
     stderr: float
     n: int
     coverage: dict[str, float]
+    not_counted: str | None
 
     @classmethod
-    def from_learned(cls, learned: LearnedQuantity | None) -> "HeldOutQuantity | None":
+    def from_learned(cls, learned: LearnedQuantity | None, issued: PressCalibration) -> "HeldOutQuantity | None":
         if learned is None:
             return None
         coverage = dict(zip(("68", "95"), learned.covered.tolist(), strict=True))
-        return cls(learned.error, learned.error_stderr, len(learned.values), coverage)
+        kept = len(learned.values)
+        thinned = f"{kept} are kept, evenly over the session" if kept < issued.used else None
+        reasons = "; ".join(why for why in (thinned, _describe_recheck(issued)) if why)
+        count = kept - _count_recheck(issued)
+        return cls(learned.error, learned.error_stderr, count, coverage, reasons or None)
 
 
 @dataclass(frozen=True, slots=True)
@@ -80,11 +92,22 @@ class HeldOut:
 
     @classmethod
     def from_calibration(cls, issued: PressCalibration) -> "HeldOut":
-        places = HeldOutPlaces(issued.held_out_mm, issued.held_out_stderr_mm, issued.held_out)
-        coverage = {"68": issued.covered_68, "95": issued.covered_95}
-        return cls(
-            places, coverage, HeldOutQuantity.from_learned(issued.force), HeldOutQuantity.from_learned(issued.depth)
+        places = HeldOutPlaces(
+            issued.held_out_mm, issued.held_out_stderr_mm, issued.held_out, _describe_recheck(issued)
         )
+        coverage = {"68": issued.covered_68, "95": issued.covered_95}
+        force, depth = (HeldOutQuantity.from_learned(each, issued) for each in (issued.force, issued.depth))
+        return cls(places, coverage, force, depth)
+
+
+def _count_recheck(issued: PressCalibration) -> int:
+    """Number of presses that were used, but have no part in errors."""
+    return 0 if issued.held_out_mm is None else issued.used - issued.held_out
+
+
+def _describe_recheck(issued: PressCalibration) -> str | None:
+    count = _count_recheck(issued)
+    return f"without a re-check of {plural(count, 'press', 'presses')}, whose errors widen regions" if count else None
 
 
 @dataclass(frozen=True, slots=True)
@@ -182,19 +205,18 @@ def _outcome(issued: PressCalibration, learned: PressesLearned, file: Path) -> C
 def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
     """Return facts about a calibration from labelled presses, as (name, value)."""
     facts = [("Presses", f"{issued.used} used, {len(issued.left_out)} left out")]
+    held_out = HeldOut.from_calibration(issued)
     if issued.held_out_mm is not None:
         error = _with(issued.held_out_mm, issued.held_out_stderr_mm, 2)
-        facts.append(
-            ("Error of place", f"{error} mm, mean of {plural(issued.held_out, 'press', 'presses')} left out")
-        )
+        facts.append(("Error of place", f"{error} mm, {_format_count(held_out.place_mm)}"))
     if issued.covered_68 is not None and issued.covered_95 is not None:
         facts.append(("Regions hold the place", _format_coverage(issued.covered_68, issued.covered_95)))
     for name, unit in PRESS_QUANTITIES.items():
-        learned: LearnedQuantity | None = getattr(issued, name)
-        if learned is not None:
-            error = f"{with_uncertainty(learned.error, learned.error_stderr)} {unit}"
-            facts.append((f"Error of {name}", f"{error}, mean of {len(learned.values)} presses left out"))
-            facts.append((f"Intervals hold the {name}", _format_coverage(*learned.covered.tolist())))
+        quantity: HeldOutQuantity | None = getattr(held_out, f"{name}_{unit}")
+        if quantity is not None:
+            error = f"{with_uncertainty(quantity.mean, quantity.stderr)} {unit}"
+            facts.append((f"Error of {name}", f"{error}, {_format_count(quantity)}"))
+            facts.append((f"Intervals hold the {name}", _format_coverage(*quantity.coverage.values())))
     if issued.registration.trusted:
         explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
         facts.append(("Explained by the model", explained))
@@ -202,6 +224,11 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
     else:
         facts.append(("Sheet", "its pose is not known; the place is learned from the presses alone"))
     return facts + [(f"Row {each.row} left out", each.why) for each in issued.left_out[:_MOST_ROWS]]
+
+
+def _format_count(held_out: HeldOutPlaces | HeldOutQuantity) -> str:
+    mean = f"mean of {plural(held_out.n, 'press', 'presses')} left out"
+    return f"{mean}: {held_out.not_counted}" if held_out.not_counted else mean
 
 
 def _format_coverage(low: float, high: float) -> str:

@@ -8,6 +8,7 @@ gone. Presses in random order show no drift, and get none.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import chain
 from typing import Final
 
 import numpy as np
@@ -244,7 +245,7 @@ def _late(scaled: Array, orders: Sequence[Indices]) -> int:
         return 0
     jumps = _jumps(scaled, largest_count)
     ends = np.unique(np.linspace(fewest, count - largest_count, _SHUFFLES).astype(np.int64))
-    references = [scaled[order] for order in orders] + [scaled[:end] for end in ends]
+    references = chain((scaled[order] for order in orders), (scaled[:end] for end in ends))  # one at a time
     if jumps.max() <= max(_jumps(reference, largest_count).max() for reference in references):
         return 0
     return _FEWEST_LATE + int(jumps.argmax())

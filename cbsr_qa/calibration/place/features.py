@@ -1,5 +1,6 @@
 """Readings as features, the pattern's symmetry, and the covariance behind both estimates."""
 
+from dataclasses import replace
 from typing import Final
 
 import numpy as np
@@ -60,6 +61,18 @@ def features_of(readings: Array, scaling: FeatureScaling) -> Array:
     roots = _roots(readings, scaling)
     size = np.linalg.norm(roots, axis=1, keepdims=True)
     return roots / np.where(size > 0, size, 1.0) ** scaling.damping
+
+
+def expected_features(expected: Array, readings: Array, scaling: FeatureScaling) -> Array:
+    """Turn changes (n, m) that are expected in any unit into features of presses with readings (n, m).
+
+    Readings of zero do not count: they may be those that are not known.
+    """
+    uncut = replace(scaling, ceiling=np.full_like(scaling.ceiling, np.inf))
+    expected_roots, roots = np.where(readings == 0, 0.0, _roots(expected, uncut)), _roots(readings, uncut)
+    power = np.maximum((expected_roots**2).sum(axis=1), np.finfo(float).tiny)
+    factor = np.maximum((expected_roots * roots).sum(axis=1) / power, 0.0) ** (1 / scaling.exponent)
+    return features_of(factor[:, None] * expected, scaling)
 
 
 def strengths(readings: Array, likeness: Array, scaling: FeatureScaling) -> Array:

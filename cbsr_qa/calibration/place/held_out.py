@@ -22,7 +22,8 @@ _BLOCKS: Final = 20
 #: Presses closer than this share of the radius are at the same place.
 _ONE_PLACE: Final = 0.01
 #: Presses that hyperparameters are found with. Of more than :data:`_FEW` each half is located with those of the other
-#: half; of more than _MANY times as many, all but these are located with hyperparameters from these.
+#: half; of more than _MANY times as many, all but these are located with hyperparameters from these, and these with
+#: those from as many others.
 _FOR_SCALES: Final = 200
 _MANY: Final = 4
 #: Levels at which the actual coverage of regions is compared with the nominal one.
@@ -137,18 +138,15 @@ class PressedSheet:
     def leave_out(self, learning: TemplateLearning, later: Array | None) -> tuple[LeftOut, PlaceProcess]:
         """Locate presses from presses of other blocks, at other places, and learn the process from all."""
         count, blocks = len(self.places_mm), self.blocks()
-        places = np.full((count, 2), np.nan)
-        splits = self.presses_for_scales()
-        for learned, located in splits:
+        places = np.empty((count, 2))
+        for learned, located in self.presses_for_scales():
             process, inverse = condition_on_presses(self.likely(learned), self.turns, self.features, self.places_mm)
             predicted = leave_out(process, inverse, [block for block in blocks if np.isin(block, located).any()])
             places[located] = predicted[located]
-        if len(splits) > 1:
+        if count <= _MANY * _FOR_SCALES:  # otherwise it is the last one
             scales = self.likely(evenly(count, _FOR_SCALES))
             process, _ = condition_on_presses(scales, self.turns, self.features, self.places_mm)
-        located_presses = np.flatnonzero(np.isfinite(places[:, 0]))
-        template_estimates = (column[located_presses] for column in self._from_templates(learning, blocks, later))
-        return LeftOut(located_presses, places[located_presses], *template_estimates), process
+        return LeftOut(np.arange(count), places, *self._from_templates(learning, blocks, later)), process
 
     def misfit_growth(self, learning: TemplateLearning, sessions: float) -> float:
         """Factor by which misfits may have grown so many sessions later; 1 where they do not grow.
@@ -168,19 +166,18 @@ class PressedSheet:
         """Presses for hyperparameters, and presses at other places located with them."""
         count, visits = len(self.places_mm), self.visits
         visit_numbers = np.unique(visits)
-        if count > _MANY * _FOR_SCALES:
-            groups = [visit_numbers[evenly(len(visit_numbers), min(_FOR_SCALES, len(visit_numbers) // 2))]]
-        elif count > _FEW:
-            groups = [visit_numbers[::2], visit_numbers[1::2]]
-        else:
-            groups = [group for group in np.array_split(visit_numbers, _BLOCKS_WITH_SCALES) if len(group)]
-        group_masks = [np.isin(visits, group) for group in groups]
         if count <= _FEW:
-            return [(np.flatnonzero(~group_mask), np.flatnonzero(group_mask)) for group_mask in group_masks]
-        presses_by_group = [np.flatnonzero(group_mask) for group_mask in group_masks]
+            groups = [group for group in np.array_split(visit_numbers, _BLOCKS_WITH_SCALES) if len(group)]
+            masks = [np.isin(visits, group) for group in groups]
+            return [(np.flatnonzero(~mask), np.flatnonzero(mask)) for mask in masks]
+        chosen_visits = visit_numbers[1::2]
+        if count > _MANY * _FOR_SCALES:
+            chosen_visits = visit_numbers[evenly(len(visit_numbers), min(_FOR_SCALES, len(visit_numbers) // 2))]
+        chosen_mask = np.isin(visits, chosen_visits)
+        chosen, others = np.flatnonzero(chosen_mask), np.flatnonzero(~chosen_mask)
         return [
-            (group_presses[evenly(len(group_presses), _FOR_SCALES)], np.flatnonzero(~group_mask))
-            for group_presses, group_mask in zip(presses_by_group, group_masks, strict=True)
+            (learned[evenly(len(learned), _FOR_SCALES)], located)
+            for learned, located in ((others, chosen), (chosen, others))
         ]
 
     def _from_templates(

@@ -8,9 +8,10 @@ import numpy as np
 from scipy.spatial import ConvexHull, cKDTree
 
 from cbsr_qa.calibration.place.drift import Drift, Session, find_drift, session_of
-from cbsr_qa.calibration.place.faulty import noisy_readings
+from cbsr_qa.calibration.place.faulty import Modelled, noisy_readings
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
+    expected_features,
     features_of,
     more_than_spikes,
     pattern_turns,
@@ -102,6 +103,7 @@ def learn_place(
     axes: Array | None = None,
     time_s: Array | None = None,
     missing: Mask | None = None,
+    modelled: Modelled | None = None,
     tell: Tell = lambda stage: None,
 ) -> PlaceLearned:
     """Learn places from changes of readings by presses.
@@ -119,6 +121,8 @@ def learn_place(
         used are the likeliest.
     time_s : (n,) times of the presses; by default evenly spaced in their order. Drift over it is extrapolated.
     missing : (n, m) mask of readings that are zero because they are not known; spikes are found here.
+    modelled : returns the changes (k, m) that the modelled sheet lets expect of presses (k,), in any unit; NaN where
+        it does not. By default there is no modelled sheet.
     tell : function that receives the progress in words.
 
     Raises
@@ -139,7 +143,7 @@ def learn_place(
     centred_mm = places_mm - centre
     sheet, size_ratio = _sheet(turns, changes, centred_mm @ axes.T, missing, scaling)
     tell("finding how readings drift")
-    noisy_mask = noisy_readings(pairs, sheet.features, sheet.template_learning().leave_out_each()[0])
+    noisy_mask = _find_noise(pairs, sheet, changes, missing, scaling, order, modelled)
     if noisy_mask.any():
         changes = np.where(noisy_mask, 0.0, changes)
         sheet, size_ratio = _sheet(turns, changes, centred_mm @ axes.T, missing | noisy_mask, scaling)
@@ -216,6 +220,26 @@ def _sheet(
     return sheet, size_ratio
 
 
+def _find_noise(
+    pairs: Indices,
+    sheet: PressedSheet,
+    changes: Array,
+    missing: Mask,
+    scaling: FeatureScaling,
+    order: Indices,
+    modelled: Modelled | None,
+) -> Mask:
+    """Mask (n, m) of readings that are noise in single presses; ``order`` (n,) numbers these for ``modelled``."""
+
+    def expect(presses: Indices) -> Array:
+        if modelled is None:
+            return np.full((len(presses), len(pairs)), np.nan)
+        return expected_features(modelled(order[presses]), changes[presses], scaling)
+
+    errors = sheet.template_learning().leave_out_each()[0]
+    return noisy_readings(pairs, sheet.features, errors, missing, expect)
+
+
 def _noise_words(noisy: Mask) -> Iterator[str]:
     rows = np.flatnonzero(noisy.any(axis=1))
     if rows.size:
@@ -263,7 +287,7 @@ def _frame(
         scaling = FeatureScaling(_EXPONENT, damping, ceilings_of(changes))
         features = features_of(changes[presses], scaling)
         likelihoods, centres = frames_likelihoods(
-            start_scales(turns, features, centred_mm), turns, features, centred_mm, candidate_axes, stderr_mm
+            start_scales(features, centred_mm), turns, features, centred_mm, candidate_axes, stderr_mm
         )
         best = int(likelihoods.argmax())
         penalty = _CLEARLY * len(presses) * (damping - _DAMPINGS[0])
@@ -311,7 +335,7 @@ def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales) -> It
             f"the readings hardly depend on the place: the mean error of presses left out is {held_out.mean_mm:.1f}"
             f" mm; always guessing the middle of the presses gives {spread_mm:.1f} mm"
         )
-    at_edge = list_edge_hyperparameters(scales, sheet.turns, sheet.features, sheet.places_mm)
+    at_edge = list_edge_hyperparameters(scales, sheet.features, sheet.places_mm)
     if at_edge:
         yield f"hyperparameters at the edge of their range: {', '.join(at_edge)}; press at more places"
 

@@ -91,9 +91,10 @@ def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Ar
         if number > opposite:
             continue
         correlation = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
-        covariance += correlation[:, None, :, None] * turn[None, :, None, :]
-        if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
-            covariance += correlation.T[:, None, :, None] * turn.T[None, :, None, :]
+        for row, column in np.ndindex(2, 2):
+            covariance[:, row, :, column] += correlation * turn[row, column]
+            if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
+                covariance[:, row, :, column] += correlation.T * turn[column, row]
     full: Array = covariance.reshape(2 * count, 2 * count)
     full[np.diag_indices(2 * count)] += scales.noise_variance
     return full
@@ -103,8 +104,7 @@ def _invert(covariance: Array) -> tuple[Array, Array]:
     """Lower Cholesky factor and inverse of a covariance, which is overwritten. LinAlgError if it has none."""
     factor = cholesky(covariance, lower=True, overwrite_a=True, check_finite=False)
     inverse, _ = dpotri(factor, lower=True)
-    below = np.tril_indices(len(inverse), -1)
-    inverse.T[below] = inverse[below]
+    inverse += np.tril(inverse, -1).T
     return factor, inverse
 
 
@@ -122,14 +122,12 @@ def likely_scales(turns: PatternTurns, features: Array, places_mm: Array) -> Pla
     return likelihood.scales(best.x)
 
 
-def list_edge_hyperparameters(
-    scales: PlaceScales, turns: PatternTurns, features: Array, places_mm: Array
-) -> list[str]:
+def list_edge_hyperparameters(scales: PlaceScales, features: Array, places_mm: Array) -> list[str]:
     """Hyperparameters at the edge of their search range, in words.
 
     One part, one reading or the noise may vanish: that is not an edge.
     """
-    begin = start_scales(turns, features, places_mm)
+    begin = start_scales(features, places_mm)
     sizes = {
         "variance of the places": (
             scales.own_variance + scales.turning_variance, begin.own_variance + begin.turning_variance
@@ -140,10 +138,13 @@ def list_edge_hyperparameters(
     return [name for name, (found, start) in sizes.items() if abs(np.log(found / start)) > 0.9 * _FURTHEST]
 
 
-def start_scales(turns: PatternTurns, features: Array, places_mm: Array) -> PlaceScales:
-    """Initial hyperparameters of a search for the likeliest."""
-    likelihood = _Likelihood(turns, features, places_mm)
-    return likelihood.scales(likelihood.start())
+def start_scales(features: Array, places_mm: Array) -> PlaceScales:
+    """Initial hyperparameters of a search for the likeliest: all readings have one length, the median distance."""
+    squared_distances = compute_squared_distances(features, features)[np.tri(len(features), k=-1, dtype=np.bool_).T]
+    different = squared_distances[squared_distances > _ALIKE * squared_distances.max()]
+    scale = np.full(features.shape[1], 1 / float(np.median(different)) if len(different) else 1.0)
+    variance = float(np.mean(places_mm**2))
+    return PlaceScales(variance, variance, _NOISE_SHARE * variance, scale, scale)
 
 
 def frames_likelihoods(
@@ -176,30 +177,23 @@ class _Likelihood:
     """Minus the logarithm of marginal likelihood times priors, and its gradient, by logarithms of the scales."""
 
     def __init__(self, turns: PatternTurns, features: Array, places_mm: Array) -> None:
-        self._features, self._y = features, places_mm.ravel()
+        self._features, self._y, self._begin = features, places_mm.ravel(), start_scales(features, places_mm)
         self._turns = turns.turns.reshape(-1, 4)
         self._orbit = turns.orbits()
         self._readings, self._orbits = features.shape[1], int(self._orbit.max()) + 1
         # Squared distances (orbits, n n g) in each orbit's readings, from every press to every press in every turn.
         turned_features = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
         turned_features = turned_features.reshape(-1, self._readings)
-        self._apart = np.stack(
-            [
-                compute_squared_distances(features[:, among], turned_features[:, among]).ravel()
-                for among in (self._orbit == number for number in range(self._orbits))
-            ]
-        )
-        squared_distances = compute_squared_distances(features, features)[np.triu_indices(len(features), 1)]
-        different = squared_distances[squared_distances > _ALIKE * squared_distances.max()]
-        self._log_scale = -float(np.log(np.median(different))) if len(different) else 0.0
-        self._log_variance = float(np.log(np.mean(self._y**2)))
+        self._apart = np.empty((self._orbits, len(features) * len(turned_features)))
+        for number, distances in enumerate(self._apart):
+            among = self._orbit == number
+            distances[:] = compute_squared_distances(features[:, among], turned_features[:, among]).ravel()
 
     def start(self) -> Array:
-        """Initial logarithms of a search: one length, that of the median distance."""
-        begin = np.full(3 + self._readings + self._orbits, self._log_scale)
-        begin[:2] = self._log_variance
-        begin[2] = self._log_variance + np.log(_NOISE_SHARE)
-        return begin
+        """Initial logarithms of a search."""
+        begin = self._begin
+        variances = np.log([begin.own_variance, begin.turning_variance, begin.noise_variance])
+        return np.concatenate([variances, np.log(begin.own), np.log(begin.turning[: self._orbits])])
 
     def scales(self, logs: Array) -> PlaceScales:
         """Scales from their logarithms: three variances, the readings', and the orbits'."""
@@ -256,11 +250,10 @@ class _Likelihood:
         return 2 * derivative
 
     def _prior(self, logs: Array) -> tuple[float, Array]:
-        own_logs, turning_logs = logs[3 : 3 + self._readings], logs[3 + self._readings :]
-        gradient = np.zeros_like(logs)
+        own_logs, gradient = logs[3 : 3 + self._readings], np.zeros_like(logs)
+        moved = logs - self.start()
         deviation = own_logs - own_logs.mean()
-        length, scales = own_logs.mean() - self._log_scale, turning_logs - self._log_scale
-        variances = logs[:3] - [self._log_variance, self._log_variance, self._log_variance + np.log(_NOISE_SHARE)]
+        variances, length, scales = moved[:3], moved[3 : 3 + self._readings].mean(), moved[3 + self._readings :]
         spread = np.array([_SPREAD_OF_VARIANCE, _SPREAD_OF_VARIANCE, _SPREAD_OF_NOISE])
         gradient[:3] = -variances / spread**2
         gradient[3 : 3 + self._readings] = (

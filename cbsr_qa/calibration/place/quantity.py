@@ -10,8 +10,9 @@ with a place p at the distance r from the centre, k Matérn's of smoothness 5/2 
 exp(−2u): a straight line of any slope, variation of the response with the place, symmetric about the centre or not,
 and a bend. Hyperparameters maximise the marginal likelihood. Places are those found for left-out presses, with the
 same uncertainty as later ones. Errors of presses left out with all others at their place, in closed form, give the
-width of intervals. A drift of gains adds to y, one of offsets adds in proportion to exp(−u): presses are brought to
-the last one as features are (:mod:`cbsr_qa.calibration.place.drift`).
+width of intervals. If they are no smaller than those of guessing the median, every press is given the median. A drift
+of gains adds to y, one of offsets adds in proportion to exp(−u): presses are brought to the last one as features are
+(:mod:`cbsr_qa.calibration.place.drift`).
 """
 
 from dataclasses import dataclass, replace
@@ -46,6 +47,8 @@ _FURTHEST: Final = 4.0  # largest distance from a median, in those deviations
 _NORMAL: Final = np.array([0.9945, 1.9600])
 #: Frames with one of these flags have no press to measure.
 _NO_PRESS: Final = int(Flag.NOT_DETECTED | Flag.UNREADABLE)
+#: Variance of the noise, in units of the spread, by which strength and place no longer count.
+_UNTOLD: Final = 1e8
 #: Term of the diagonal, in units of the spread, that keeps covariances of noiseless presses invertible.
 _LEAST_NOISE: Final = 1e-8
 
@@ -157,6 +160,9 @@ def learn_quantity(
         errors = _leave_out_places(data, visits)
     scales = _fit_scales(data, np.arange(len(kept_presses)))
     process = _Process(scales, data)
+    if np.abs(guess_errors := _guess_errors(process.y, visits)).mean() <= np.abs(errors).mean():
+        errors, scales = guess_errors, replace(scales, ring=0.0, relief=0.0, curve=0.0, noise=_UNTOLD, weak_noise=0.0)
+        process = _Process(scales, data)
     stderr = process.leave_out(visits)[1]
     main_presses = np.arange(len(kept_presses) - recheck_count)
     ratio, absolute_error = (
@@ -178,6 +184,19 @@ def learn_quantity(
         drift=later_drift[0],
         weak_drift=later_drift[1],
     )
+
+
+def is_untold(learned: LearnedQuantity) -> bool:
+    """Whether the readings told the quantity no better than guessing does: each press is given the median."""
+    return learned.scales.noise >= _UNTOLD
+
+
+def _guess_errors(y: Array, visits: Indices) -> Array:
+    """Errors (n,) of the median of the presses at other places."""
+    errors = np.empty(len(y))
+    for visit in np.unique(visits):
+        errors[visits == visit] = y[visits == visit] - np.median(y[visits != visit])
+    return errors
 
 
 def _leave_out_places(data: "_Data", visits: Indices) -> Array:

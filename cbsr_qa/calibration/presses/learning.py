@@ -6,10 +6,11 @@ from typing import Final
 
 import numpy as np
 
+from cbsr_qa.calibration.place.faulty import Modelled
 from cbsr_qa.calibration.place.features import ring_axes
 from cbsr_qa.calibration.place.learning import PlaceLearned, learn_place
 from cbsr_qa.calibration.place.modelled import ModelledEstimator, with_variance
-from cbsr_qa.calibration.place.quantity import learn_quantity
+from cbsr_qa.calibration.place.quantity import is_untold, learn_quantity
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
@@ -23,7 +24,7 @@ from cbsr_qa.calibration.presses.odd_labels import (
 from cbsr_qa.calibration.presses.row_order import RowOrder, find_row_order, guess_error
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain.errors import CalibrationError, NumericsError, RecordingError
-from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import ModelledPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.press_calibration import (
@@ -120,7 +121,14 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     time_s = None if presses.time_s is None else presses.time_s[used_mask]
     place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
     learned_place = _learn_place(
-        labelled.sensor_type, order, readings.changes[used_mask], place_mm, time_s, missing, tell
+        labelled.sensor_type,
+        order,
+        readings.changes[used_mask],
+        place_mm,
+        time_s,
+        missing,
+        _expect_changes(sheet, order, readings.changes, used_mask) if registration.trusted else None,
+        tell,
     )
     if readings.noise is not None:
         noise = np.where(learned_place.model.scaling.ceiling > 0, readings.noise, 0.0)  # noise of the used readings
@@ -182,6 +190,7 @@ def _learn_place(
     place_mm: Array,
     time_s: Array | None,
     missing: Mask,
+    modelled: Modelled | None,
     tell: Tell,
 ) -> PlaceLearned:
     """Learn the place, starting from the registered pose if that is trusted."""
@@ -200,8 +209,25 @@ def _learn_place(
         axes=axes,
         time_s=time_s,
         missing=missing,
+        modelled=modelled,
         tell=tell,
     )
+
+
+def _expect_changes(sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, used: Mask) -> Modelled:
+    """Return what the registered sheet lets expect of the used presses that are clear of edge and electrodes."""
+    places = order.registered.places[used]
+
+    def expect(presses: Indices) -> Array:
+        expected = np.full((len(presses), len(order.pairs)), np.nan)
+        clear_mask = sheet.clear(places[presses])
+        if clear_mask.any():
+            answers = answering_side(sheet, order.pairs, changes).answers
+            loads = sheet.loads(places[presses[clear_mask]])
+            expected[clear_mask] = order.registered.sign * loads.readings(order.pairs) * answers
+        return expected
+
+    return expect
 
 
 def _model_place(
@@ -240,10 +266,14 @@ def _warn_of_poor_estimate(name: str, quantity: LearnedQuantity) -> Iterator[str
     guessed = float(np.abs(quantity.values - np.median(quantity.values)).mean())
     if quantity.error > _UNINFORMATIVE_SHARE * guessed:
         unit = PRESS_QUANTITIES[name]
-        yield (
-            f"the readings hardly tell the {name}: presses left out are missed by {quantity.error:.2g} {unit}, where"
-            f" the middle of all presses misses them by {guessed:.2g} {unit}"
-        )
+        words = f"the readings hardly tell the {name}"
+        if is_untold(quantity):
+            yield f"{words}: every press is given the middle of all, which misses them by {guessed:.2g} {unit}"
+        else:
+            yield (
+                f"{words}: presses left out are missed by {quantity.error:.2g} {unit}, where"
+                f" the middle of all presses misses them by {guessed:.2g} {unit}"
+            )
 
 
 def _find_electrode_order(labelled: LabelledPresses, sheet: ModelledSheet) -> ElectrodeOrder:

@@ -8,11 +8,12 @@ import h5py
 import numpy as np
 import pytest
 from made_once import made_once
-from pressed_sheets import SKIN_TOML, adjacent_pairs, pressed_sheet, some, table
+from pressed_sheets import SKIN_TOML, adjacent_pairs, issued_from_presses, pressed_sheet, some, table
 from typer.testing import CliRunner
 
 from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.app.calibration.calibrate import HeldOut
 from cbsr_qa.app.stream.source import FramesFrom
 from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
 from cbsr_qa.calibration.force.inverse import flag_names
@@ -79,15 +80,25 @@ def test_what_scripts_read_is_printed(folder, pressed):
     assert printed["registration"]["rotation_deg"] == pytest.approx(25, abs=2)
     assert printed["registration"]["scale"] == pytest.approx(1, abs=0.03)
     assert printed["registration"]["shift_mm"] == pytest.approx([46, -408], abs=2)
-    assert printed["held_out"]["place_mm"].keys() == {"mean", "stderr", "n"}
+    assert printed["held_out"]["place_mm"].keys() == {"mean", "stderr", "n", "not_counted"}
+    assert printed["held_out"]["place_mm"]["n"] == printed["used"]
     assert printed["held_out"]["coverage"].keys() == {"68", "95"}
-    assert printed["held_out"]["force_N"].keys() == {"mean", "stderr", "n", "coverage"}
+    assert printed["held_out"]["force_N"].keys() == {"mean", "stderr", "n", "coverage", "not_counted"}
     assert printed["held_out"]["force_N"]["mean"] < 0.3  # of 1 to 5 N
     assert printed["held_out"]["depth_mm"] is None
     assert 0 < printed["explained"] <= 1
     assert any("mirrored" in words for words in printed["warnings"])
     assert printed["place_learned"] is True
     assert printed["labels"] == {"suspected": None, "gain_mm": None}
+
+
+def test_presses_that_are_not_counted_are_explained():
+    issued = issued_from_presses()
+    assert HeldOut.from_calibration(issued).place_mm.not_counted is None
+    rechecked = HeldOut.from_calibration(replace(issued, used=15, held_out=12))
+    assert rechecked.place_mm.not_counted == "without a re-check of 3 presses, whose errors widen regions"
+    assert rechecked.force_N.n == 9
+    assert rechecked.force_N.not_counted.startswith("12 are kept, evenly over the session; without a re-check of 3")
 
 
 def test_the_page_draws_presses_that_were_left_out(folder):

@@ -1,13 +1,16 @@
 """Places learned from presses of a simulated sheet, and of two real skins where they are there."""
 
+import tracemalloc
 from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_sheets import pressed_sheet
+from pressed_sheets import adjacent_pairs, pressed_sheet
 
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
+from cbsr_qa.calibration.place.features import pattern_turns
+from cbsr_qa.calibration.place.held_out import PressedSheet
 from cbsr_qa.calibration.place.learning import _reach, learn_place
 from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.domain.errors import CalibrationError
@@ -282,3 +285,28 @@ def test_an_electrode_whose_readings_are_noise_in_some_presses_does_not_make_suc
     assert off_mm[:30].mean() < 0.3
     assert places.in_model[:30].mean() > 0.9
     assert places.in_model[30:].mean() < 0.1
+
+
+@pytest.mark.parametrize("places", [50, 130, 900])
+@pytest.mark.parametrize("repeats", [1, 2])
+def test_every_press_is_located_once_from_other_places(places, repeats):
+    places_mm = np.repeat(np.random.default_rng(1).uniform(-40, 40, (places, 2)), repeats, axis=0)
+    sheet = PressedSheet(pattern_turns(adjacent_pairs(), 16), np.zeros((len(places_mm), 208)), places_mm)
+    splits = sheet.presses_for_scales()
+    assert sorted(np.concatenate([located for _, located in splits])) == list(range(len(places_mm)))
+    for learned, located in splits:
+        assert not np.isin(sheet.visits[learned], sheet.visits[located]).any()
+        assert len(learned) == len(set(learned)) <= 200
+
+
+@pytest.mark.rest
+def test_memory_does_not_hold_every_reading_of_every_pair_of_presses():
+    """Of 400 presses with 208 readings that was 0.6 GB, and 8 GB of 1600."""
+    sheet = pressed_sheet(400, seed=5, pairs=adjacent_pairs(), noise=0.05)
+    tracemalloc.start()
+    try:
+        learn_place(sheet.changes, sheet.labels_mm, sheet.pairs, 16)
+        peak_bytes = tracemalloc.get_traced_memory()[1]
+    finally:
+        tracemalloc.stop()
+    assert peak_bytes < 0.3e9

@@ -83,8 +83,8 @@ def test_the_turning_part_turns_places_with_readings(presses, scales):
 
 
 def test_a_hyperparameter_at_the_edge_of_its_range_is_named(presses, scales):
-    assert list_edge_hyperparameters(scales, TURNS, *presses) == []
-    assert list_edge_hyperparameters(replace(scales, noise_variance=1e8), TURNS, *presses) == ["noise"]
+    assert list_edge_hyperparameters(scales, *presses) == []
+    assert list_edge_hyperparameters(replace(scales, noise_variance=1e8), *presses) == ["noise"]
 
 
 @pytest.mark.parametrize(

@@ -9,7 +9,7 @@ from cbsr_qa.calibration.place.drift import Session
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.learning import learn_place
 from cbsr_qa.calibration.place.places import Places
-from cbsr_qa.calibration.place.quantity import QuantityEstimator, learn_quantity
+from cbsr_qa.calibration.place.quantity import QuantityEstimator, is_untold, learn_quantity
 
 CENTRE = np.zeros(2)
 
@@ -50,6 +50,20 @@ def test_intervals_hold_what_they_state_over_a_fleet(count, limit_N):
     assert 0.92 <= high <= 0.98
     assert np.mean(errors) < limit_N  # of 1 to 5 N; always guessing the middle errs by 1 N
     assert np.mean(stated) == pytest.approx(np.mean(errors), rel=0.3)
+
+
+def test_a_quantity_that_readings_do_not_tell_is_the_middle_of_all_without_flags():
+    """Depths that no reading knows: a fitted line would err more than guessing, and call some out of range."""
+    sheet, random = pressed_sheet(300, seed=4, uneven=0.1), np.random.default_rng(4)
+    depth_mm, some, rest = random.normal(19.0, 0.03, 300), np.arange(60), np.arange(60, 300)
+    learned = learn_quantity(depth_mm[some], *located(sheet, some), CENTRE)
+    found = told(learned, *located(sheet, rest))
+    assert is_untold(learned)
+    assert found.values == pytest.approx(np.median(depth_mm[some]), abs=1e-4)
+    assert not (found.below | found.above).any()
+    assert inside(depth_mm[rest], found.within_68) == pytest.approx(0.68, abs=0.15)
+    assert inside(depth_mm[rest], found.within_95) == pytest.approx(0.95, abs=0.06)
+    assert learned.error == pytest.approx(np.abs(depth_mm - np.median(depth_mm)).mean(), rel=0.25)
 
 
 def test_forces_beyond_those_pressed_are_flagged_and_their_intervals_reach_back():
