@@ -45,7 +45,7 @@ _UNINFORMATIVE_SHARE: Final = 0.6
 #: Places are learned if their error is below this share of the error of guessing.
 _LEARNED_SHARE: Final = 0.9
 #: Other orders of the rows are tried if the error is above this share of the error of guessing.
-_DOUBTFUL_SHARE: Final = 0.3
+DOUBTFUL_SHARE: Final = 0.3
 _MIRRORED: Final = (
     "the sheet is mirrored against its sensor type: it is seen from below, or its electrodes are numbered the other"
     " way round"
@@ -137,7 +137,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     held_out = learned_place.held_out
     guess_mm = guess_error(place_mm[held_out.presses])
     row_order = None
-    if held_out.mean_mm > _DOUBTFUL_SHARE * guess_mm:
+    if held_out.mean_mm > DOUBTFUL_SHARE * guess_mm:
         tell("looking for rows out of step")
         row_order = find_row_order(np.where(used_mask[:, None], readings.changes, 0.0), presses.place_mm)
     quantities = {

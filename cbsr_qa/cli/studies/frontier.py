@@ -27,7 +27,7 @@ _SECONDS: Final = {"s": 1.0, "min": 60.0, "h": 3600.0}
 _MILLIMETRES: Final = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "cm": 10.0}
 #: Options of the simulated sweep, and of recorded presses.
 _SIMULATED: Final = frozenset({"clock", "force_error", "budget", "fresh", "recipe", "png"})
-_RECORDED: Final = frozenset({"presses", "pattern", "sensor_type", "differences", "rest", "place_error"})
+_RECORDED: Final = frozenset({"presses", "pattern", "sensor_type", "differences", "rest", "row_shift", "place_error"})
 
 
 @command("frontier", prints="cbsr_qa.studies.frontier.study:Frontier")
@@ -71,6 +71,12 @@ def frontier(
         typer.Option("--differences", help="With --recording: READINGS are differences from the unloaded sheet."),
     ] = False,
     rest: Annotated[Path | None, typer.Option(help="With --recording: frames of the unloaded sheet.")] = None,
+    row_shift: Annotated[
+        int,
+        typer.Option(
+            help="With --recording: number of rows by which places stand below their readings; the ends are left out."
+        ),
+    ] = 0,
     place_error: Annotated[
         str | None,
         typer.Option(
@@ -95,7 +101,7 @@ def frontier(
         check_page(output)
         from cbsr_qa.analysis.recording.press_files import PressFiles
 
-        files = PressFiles(recording, presses, sensor_type, pattern, differences, rest)
+        files = PressFiles(recording, presses, sensor_type, pattern, differences, rest, row_shift)
         show(_study_presses(files, target_mm, quick=quick), output=output, as_json=as_json)
         return
     _refuse(given & _RECORDED, "is for presses of your own, and --recording is missing")

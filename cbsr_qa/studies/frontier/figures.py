@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.report.draw.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, plain_ticks, svg_of
 from cbsr_qa.studies.frontier.point import Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommendation
-from cbsr_qa.studies.frontier.station import PAPER
+from cbsr_qa.studies.frontier.station import NAMES
 from cbsr_qa.system.files import writing
 
 _COLOURS: Final = (*CYCLE, INK)  # one per series
@@ -35,9 +35,10 @@ def _canvas(points: Sequence[Point], chosen: Recommendation) -> Canvas:
     for point in members:
         if "force_error" in point.accuracy:
             _draw_point(axes, point, colours[point.series])
-    if chosen.accuracy is not None:
-        chosen_place = (chosen.station_s or 0) / 60, chosen.accuracy["force_error"].value
-        axes.plot(*chosen_place, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
+    ringed = [point for point in members if point.knobs == chosen.setting and "force_error" in point.accuracy][:1]
+    for point in ringed:
+        place = (point.station_s or 0) / 60, point.accuracy["force_error"].value
+        axes.plot(*place, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
     plain_ticks(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
     plain_ticks(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
     axes.set_xlabel("station time a sensor [min]")
@@ -54,8 +55,8 @@ def _draw_point(axes: Axes, point: Point, colour: str) -> None:
     marker = "s" if point.knobs.get("transients") == "predicted" else "o"
     face = colour if point.pareto else "none"
     axes.plot(minutes, force.value, marker, color=colour, markersize=4, markerfacecolor=face, linestyle="none")
-    if point.knobs == PAPER.knobs:
-        axes.text(minutes, force.value * 1.12, "paper's campaign ", color=QUIET, fontsize=7, ha="right", va="bottom")
+    name = next((name for name in NAMES.values() if point.note.startswith(name)), "")
+    axes.text(minutes, force.value * 1.12, name, color=QUIET, fontsize=7, ha="right", va="bottom")
 
 
 def write_png(points: Sequence[Point], chosen: Recommendation, path: Path) -> None:

@@ -11,6 +11,7 @@ import cbsr_qa
 from cbsr_qa.config.text import toml_document
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import check_encodable
+from cbsr_qa.report.tables import plural
 from cbsr_qa.studies.frontier.point import TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommendation
 from cbsr_qa.system.files import write_atomically, writing
@@ -97,7 +98,8 @@ def write_recipe(recommended: Recommendation, path: Path) -> None:
     stderr = "" if force.stderr is None else f" ± {force.stderr:.3f}"
     comments = (
         f"{WRITTEN_BY} {cbsr_qa.__version__}: {recommended.why}.",
-        f"Simulated: force error {force.value:.3f}{stderr} N over {recommended.seeds} sensors, {minutes:.0f} min.",
+        f"Simulated: mean force error of {plural(recommended.seeds, 'sensor')} {force.value:.3f}{stderr} N,"
+        f" {minutes:.0f} min.",
         "A setting is as good as the simulation it was found in: check it on sensors of your own.",
     )
     text = toml_document(recommended.way.recipe(name), comments)

@@ -2,12 +2,14 @@
 
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
 from typing import Any, Literal, TypeVar
 
+import numpy as np
 from pydantic import TypeAdapter, ValidationError
+from scipy.stats import norm, t as student
 
 from cbsr_qa.domain.errors import NumericsError, StoreError
 
@@ -29,31 +31,55 @@ class TimeBasis(StrEnum):
 
 @dataclass(frozen=True, slots=True)
 class Accuracy:
-    """One value of a setting relative to known truth, or its mean over seeds.
+    """One value of a setting relative to known truth, or its mean over simulated sensors.
 
     Parameters
     ----------
-    stderr : standard error of that mean; None if the value is exact, or from a single seed.
+    stderr : standard error of that mean; None if the value is exact, or from a single sensor.
     better : direction of more accurate values: larger (an overlap), smaller (an error), or near to a stated value.
+    by_sensor : values that the mean is of, in the order of the sensors, which are the same for all settings of a
+        sweep; empty if the value is exact, or its error has another source.
     """
 
     value: float
     stderr: float | None
     unit: str
     better: Better = "less"
+    by_sensor: tuple[float, ...] = ()
 
     def __post_init__(self) -> None:
         stderr = self.stderr or 0.0
-        if not (math.isfinite(self.value) and math.isfinite(stderr)) or stderr < 0:
+        if not all(map(math.isfinite, (self.value, stderr, *self.by_sensor))) or stderr < 0:
             raise NumericsError(
                 f"an accuracy of {self.value} ± {self.stderr} {self.unit} is not a finite number with an error of it",
                 remedy="leave out a value that could not be determined, and say so in the point's note",
             )
 
-    @property
-    def upper(self) -> float:
-        """The value plus its standard error, to allow for chance."""
-        return self.value + (self.stderr or 0.0)
+    @classmethod
+    def from_sensors(cls, values: Sequence[float], unit: str, better: Better = "less") -> "Accuracy":
+        """Mean of one value per sensor, with its standard error if there are several."""
+        by_sensor = tuple(float(value) for value in values)
+        stderr = float(np.std(by_sensor, ddof=1)) / math.sqrt(len(by_sensor)) if len(by_sensor) > 1 else None
+        return cls(float(np.mean(by_sensor)), stderr, unit, better, by_sensor)
+
+    def upper_bound(self, confidence: float) -> float | None:
+        """Return the value that the true mean is below with a confidence; None from a single sensor.
+
+        By Student's t for a mean over sensors, by the normal distribution for another standard error.
+        """
+        if len(self.by_sensor) == 1:
+            return None
+        degrees = len(self.by_sensor) - 1
+        factor = float(student.ppf(confidence, degrees) if degrees > 0 else norm.ppf(confidence))
+        return self.value + factor * (self.stderr or 0.0)
+
+    def subtract(self, other: "Accuracy", factor: float = 1.0) -> "Accuracy":
+        """Return the difference to another value times a factor: of pairs if both are of the same sensors."""
+        if self.by_sensor and len(self.by_sensor) == len(other.by_sensor):
+            pairs = zip(self.by_sensor, other.by_sensor, strict=True)
+            return Accuracy.from_sensors([own - factor * others for own, others in pairs], self.unit)
+        stderr = math.hypot(self.stderr or 0.0, factor * (other.stderr or 0.0))
+        return Accuracy(self.value - factor * other.value, stderr, self.unit)
 
     @property
     def shortfall(self) -> float:

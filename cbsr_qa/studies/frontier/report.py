@@ -15,10 +15,11 @@ _READING: Final = (
     "is not: a filled one takes less time and is as accurate, within the errors.",
     "Station time is the time a sensor occupies the rig, including rests, travel and finding the surface. Accuracy "
     "is measured against the truth, which only a simulation knows: sensors whose response varies by 20 % over the "
-    "sheet, with noise, relaxation, and a residue of earlier presses. Force errors are root mean squares over "
-    "random loads of 5 to 30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, that the calibration "
-    "has not seen. Bars are one standard error over the simulated sensors. Settings are compared by force and map "
-    "together.",
+    "sheet, with noise, relaxation, and a residue of earlier presses. The force error of a sensor is the root mean "
+    "square over thirty random loads of 5 to 30 % strain (0.9 to 5.3 N), held for a minute after a minute's rest, "
+    "that the calibration has not seen. Errors are means over the sensors everywhere on this page; ± and bars are "
+    "one standard error of that mean. All settings were tried on the same sensors, and are compared by the "
+    "differences of their force errors on each.",
     "Transients averaged: the mean of the last frames of a hold is used. Transients predicted: the value at the end "
     "of a long hold is predicted from a short one, with the sensor's own relaxation, measured in three long holds.",
 )
@@ -51,11 +52,14 @@ _SETTING: Final = (
 )
 _PLOT: Final = (
     "Force error on loads the calibration has not seen, against station time. Filled: worth its time. Squares: "
-    "transients predicted. Ring: recommended, the most accurate within the limits; a faster one may be as accurate "
-    "within the errors."
+    "transients predicted. Ring: the recommended setting, as on the sensors of all others; its error on new sensors "
+    "stands above."
 )
 _PLOT_ALTERNATIVE: Final = "Force errors against station time; the tables below have the numbers."
 _SERIES: Final = "{repetitions}. •: no other setting is as accurate in less time."
+_ONE_SENSOR: Final = (
+    "One simulated sensor: others may differ. •: on this one, no other setting is as accurate in less time."
+)
 _ALIKE: Final = "The same in all rows: {knobs}."
 
 
@@ -76,6 +80,8 @@ def _page(frontier: Frontier) -> Page:
     if recommended.way is not None and recommended.accuracy is not None:
         force, minutes = _format_accuracy(recommended.accuracy["force_error"]), (recommended.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", recommended.why)
+        if recommended.seeds < 2:
+            banner = Banner("plain", _NONE, f"A setting to look at: {minutes:.0f} min", recommended.why)
         setting = recommended.way
         strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
         words = setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")}
@@ -85,7 +91,7 @@ def _page(frontier: Frontier) -> Page:
         ("Settings of the station", str(counts[TimeBasis.STATION])),
         ("Settings of the computer", str(counts[TimeBasis.COMPUTER])),
         ("Worth their time", str(sum(bool(point.pareto) for point in points))),
-        ("Sweep", "quick: few settings, one sensor" if frontier.quick else "whole"),
+        ("Sweep", "quick: few settings, one sensor, which shows no scatter" if frontier.quick else "whole"),
     ]
     simulated = ("sensors, station and readings",) if counts[TimeBasis.STATION] else ()
     return Page("Frontier", "What accuracy costs in time", banner, tuple(facts), simulated, ())
@@ -110,7 +116,13 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
     columns, rows = table_of(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
     first = sum(knob in texts for knob in _varying_knobs(points)[:1])  # names are left-aligned
-    caption = _SERIES.format(repetitions=plural(points[0].seeds, "repetition").capitalize())
+    seeds = points[0].seeds
+    repetitions = (
+        plural(seeds, "repetition").capitalize() if clock is TimeBasis.COMPUTER else f"Means of {seeds} sensors"
+    )
+    caption = _SERIES.format(repetitions=repetitions)
+    if clock is TimeBasis.STATION and seeds < 2:
+        caption = _ONE_SENSOR
     yield text_table(caption, columns, rows, range(first, len(columns) - 1))
     if alike := alike_in(points, frontier.points):
         yield Paragraph(_ALIKE.format(knobs=alike), "note")

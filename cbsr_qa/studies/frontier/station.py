@@ -4,7 +4,6 @@ Long runs are simulated once per seed; cheaper ways with fewer presses or shorte
 Other ways (shorter rests, other frame times) are simulated separately.
 """
 
-import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
@@ -19,7 +18,6 @@ from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.recommend import mark_worth
 from cbsr_qa.studies.frontier.sensors import analyse_run, analysis_of, simulate_sensor
 from cbsr_qa.studies.frontier.setting import (
     FARTHEST,
@@ -31,6 +29,7 @@ from cbsr_qa.studies.frontier.setting import (
     phase_of_test_loads,
 )
 from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, errors_of, select_loads
+from cbsr_qa.studies.frontier.worth import mark_worth
 from cbsr_qa.studies.sweep import Work
 
 #: Random loads to test a simulated sensor, unknown to all settings.
@@ -38,14 +37,19 @@ TEST_LOADS: Final = 30
 
 SEEDS: Final = tuple(range(2001, 2005))
 QUICK_SEEDS: Final = (2001,)
+#: Sensors that confirm a chosen setting and had no part in the choice.
+NEW_SEEDS: Final = tuple(range(3001, 3009))
 #: Version of simulation and evaluation: pieces of other versions are computed again.
 _VERSION: Final = 3
 
 #: The paper's campaign: nine locations, six strains, three trials, a minute on and a minute off.
 PAPER: Final = Setting(9, (5.0, 10.0, 15.0, 20.0, 25.0, 30.0), 3)
-#: Thirty places at one strain, held as long; fewer in the quick sweep.
+#: Places, holds and trials of the shipped recipe ``nine-locations``: part of the paper's campaign.
+SHIPPED: Final = replace(PAPER, strains_percent=(20.0,), trials=1)
+#: Thirty places at one strain, held as long.
 EVEN: Final = Setting(30)
-QUICK_EVEN: Final = Setting(16)
+#: Names of settings, for notes and figures.
+NAMES: Final = {PAPER: "the paper's campaign", SHIPPED: "the shipped recipe nine-locations"}
 
 #: Settings, each with its series.
 Ways = Sequence[tuple[str, Setting]]
@@ -74,15 +78,15 @@ def parts_of_paper() -> Ways:
     ]
 
 
-def parts_of_even(*, quick: bool) -> Ways:
-    """Parts of thirty places (16 in the quick sweep) held for a minute, beginning with the whole."""
-    full_setting, holds_s = (QUICK_EVEN, (15.0,)) if quick else (EVEN, (30.0, 20.0, 15.0, 10.0))
+def parts_of_even() -> Ways:
+    """Parts of thirty places held for a minute, beginning with the whole."""
     short = [
-        replace(full_setting, hold_s=hold_s, predicted=predicted) for hold_s in holds_s for predicted in (False, True)
+        replace(EVEN, hold_s=hold_s, predicted=predicted)
+        for hold_s in (30.0, 20.0, 15.0, 10.0)
+        for predicted in (False, True)
     ]
-    holds = [("hold", setting) for setting in (full_setting, *short)]
     frames = [("frames averaged", replace(EVEN, steady_frames=count)) for count in (4, 1, 2, 8)]
-    return holds if quick else [*holds, *frames]
+    return [*(("hold", setting) for setting in (EVEN, *short)), *frames]
 
 
 def choices_of_even() -> Ways:
@@ -94,35 +98,58 @@ def choices_of_even() -> Ways:
     ]
 
 
-def ways_by_simulation(*, quick: bool) -> Ways:
+#: A setting of many presses in little time.
+_SHORT: Final = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
+
+
+def ways_by_simulation() -> Ways:
     """Ways with other rests or frame times; one of them belongs to several series."""
-    short = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
-    rests = [("rest", replace(short, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
-    places = [("places", replace(short, places=count)) for count in (9, 12, 16, 20, 26)]
-    hold = [("places", replace(short, places=19, hold_s=10.0))]
-    averaging = [("frame time", replace(short, frame_period_s=period_s)) for period_s in (1.25, 2.5, 5.0)]
-    return [rests[0]] if quick else [*rests, *places, *hold, *averaging]
+    rests = [("rest", replace(_SHORT, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
+    places = [("places", replace(_SHORT, places=count)) for count in (9, 12, 16, 20, 26)]
+    hold = [("places", replace(_SHORT, places=19, hold_s=10.0))]
+    averaging = [("frame time", replace(_SHORT, frame_period_s=period_s)) for period_s in (1.25, 2.5, 5.0)]
+    return [*rests, *places, *hold, *averaging]
+
+
+def quick_ways(places: int) -> Ways:
+    """Ways of the quick sweep with short holds, predicted and averaged, beginning with the whole."""
+    return [("places", replace(_SHORT, places=places, predicted=predicted)) for predicted in (True, False)]
 
 
 def station_work(*, quick: bool) -> Iterator[Work]:
     """Yield simulations, longest first, whose results are :class:`Tried`."""
-    mode, seeds, even_setting = ("quick", QUICK_SEEDS, QUICK_EVEN) if quick else ("full", SEEDS, EVEN)
-    sweep, choices = f"station {_VERSION}/{cbsr_qa.__version__}", [] if quick else choices_of_even()
+    sweep, seeds = f"station {_VERSION}/{cbsr_qa.__version__}", QUICK_SEEDS if quick else SEEDS
     for seed in seeds:
-        if not quick:
-            paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
-            yield Work(f"{sweep}/paper/{mode}/{seed}", f"the paper's campaign, sensor {seed}", paper)
-        even_work = partial(try_ways, even_setting, seed, [*parts_of_even(quick=quick), *choices])
-        yield Work(f"{sweep}/even/{mode}/{seed}", f"places held for a minute, sensor {seed}", even_work)
+        # The quick sweep takes up the pieces of the whole one, and the other way round.
+        paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
+        yield Work(f"{sweep}/paper/full/{seed}", f"the paper's campaign, sensor {seed}", paper)
+        if quick:
+            for places in (16, 9):
+                run = partial(try_ways, replace(_SHORT, places=places), seed, quick_ways(places))
+                yield Work(f"{sweep}/quick/{places}/{seed}", f"{places} places, sensor {seed}", run)
+        else:
+            run = partial(try_ways, EVEN, seed, [*parts_of_even(), *choices_of_even()])
+            yield Work(f"{sweep}/even/full/{seed}", f"places held for a minute, sensor {seed}", run)
+    if quick:
+        return
     series_by_setting: dict[Setting, list[str]] = {}
-    for series, setting in ways_by_simulation(quick=quick):
+    for series, setting in ways_by_simulation():
         series_by_setting.setdefault(setting, []).append(series)
     for setting, names in series_by_setting.items():
-        knobs = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
         for seed in seeds:
             run = partial(try_ways, setting, seed, [(name, setting) for name in names])
+            knobs = ", ".join(f"{name} {value}" for name, value in setting.knobs.items())
             key = f"{sweep}/alone/{'+'.join(names)}/{knobs}/{seed}"
             yield Work(key, f"{names[0]}: {setting.places} places, sensor {seed}", run)
+
+
+def confirming_work(setting: Setting) -> Iterator[Work]:
+    """Yield simulations of a chosen setting on sensors that had no part in the choice; results are :class:`Tried`."""
+    whole_holds = setting not in {part for _, part in parts_of_paper()}
+    for seed in NEW_SEEDS:
+        run = partial(try_ways, setting, seed, [("new sensors", setting)], whole_holds=whole_holds)
+        key = f"station {_VERSION}/{cbsr_qa.__version__}/new/{setting}/{seed}"
+        yield Work(key, f"{setting.places} places, new sensor {seed}", run)
 
 
 def try_ways(whole: Setting, seed: int, ways: Ways, *, whole_holds: bool = True) -> list[Tried]:
@@ -201,8 +228,8 @@ def shorten_holds(record: RunRecord, hold_s: float) -> RunRecord:
 def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
     """Combine the trials of each setting, with its station time [s], and mark those worth it.
 
-    Values are root mean squares over the sensors; their standard error is that of the mean square, to first order.
-    A setting is worth its time if no other of any series has as small a force error in less time.
+    Values are means over the sensors, of a sensor's root mean square error or of the size of its relative error. A
+    setting is worth its time if no other of any series has as small a force error in less time.
     """
     groups: dict[tuple[str, Setting], list[Tried]] = {}
     for tried in trials:
@@ -218,21 +245,14 @@ def worth_the_station(points: Sequence[Point]) -> list[Point]:
 
 def _point(series: str, setting: Setting, group: Sequence[Tried], station_s: float) -> Point:
     refusals = [trial.why for trial in group if trial.why]
-    notes = [f"refused on {len(refusals)} of {len(group)} sensors: {refusals[0]}"] if refusals else []
+    notes = [NAMES[setting]] if setting in NAMES else []
+    notes += [f"refused on {len(refusals)} of {len(group)} sensors: {refusals[0]}"] if refusals else []
     accuracy = {}
     for name in () if refusals else UNITS:
         errors = [trial.errors[name] for trial in group if name in trial.errors]
         if len(errors) == len(group):
-            accuracy[name] = _accuracy(errors, UNITS[name])
+            accuracy[name] = Accuracy.from_sensors(np.abs(errors).tolist(), UNITS[name])
         elif errors:
             notes.append(f"{name.replace('_', ' ')} not determined on {len(group) - len(errors)} of {len(group)}")
     knobs, note = setting.knobs, "; ".join(notes)
     return Point(TimeBasis.STATION, series, knobs, accuracy, None, station_s, len(group), note)
-
-
-def _accuracy(errors: Sequence[float], unit: str) -> Accuracy:
-    squares = np.square(errors)
-    value = math.sqrt(float(squares.mean()))
-    if len(squares) < 2 or value == 0:
-        return Accuracy(value, None, unit)
-    return Accuracy(value, float(squares.std(ddof=1)) / math.sqrt(len(squares)) / (2 * value), unit)

@@ -1,5 +1,7 @@
 """``frontier`` on trials made by hand: targets, messages, the document, the recipe file, the page and the picture."""
 
+from functools import partial
+
 import pytest
 
 from cbsr_qa.cli.main import run_guarded
@@ -13,7 +15,7 @@ from cbsr_qa.studies.sweep import Work
 
 SHORT = Setting(12, hold_s=15.0, rest_s=5.0, predicted=True)
 CHOSEN = Setting(9, rest_s=5.0, choice=FARTHEST)  # no recipe chooses as it goes
-FORCES = {PAPER: (0.10, 0.11), SHORT: (0.12, 0.11), Setting(30): (0.08, 0.08), CHOSEN: (0.01, 0.01)}
+FORCES = {PAPER: (0.10, 0.11), SHORT: (0.12, 0.119), Setting(30): (0.08, 0.08), CHOSEN: (0.01, 0.01)}
 
 
 def trials():
@@ -22,6 +24,11 @@ def trials():
         for setting, forces in FORCES.items()
         for seed, force in enumerate(forces)
     ]
+
+
+def new(setting):
+    """Trials of a chosen setting on three new sensors."""
+    return [Tried("new sensors", setting, seed, {"force_error": FORCES[setting][0]}) for seed in (7, 8, 9)]
 
 
 def measured():
@@ -35,6 +42,9 @@ def sweeps(monkeypatch, tmp_path):
     station = Work("all", "all of it", lambda: worked.append("station") or trials())
     computer = Work("images", "images", lambda: worked.append("computer") or [measured()])
     monkeypatch.setattr(app, "station_work", lambda quick: [station])
+    monkeypatch.setattr(
+        app, "confirming_work", lambda setting: [Work(f"new {setting}", "new", partial(new, setting))]
+    )
     monkeypatch.setattr(app, "computer_work", lambda quick: [computer])
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     return worked
@@ -107,7 +117,7 @@ def test_the_recipe_is_one_that_run_accepts(sweeps, printed, capsys, tmp_path):
     assert printed("frontier", "--clock", "station", "--recipe", path)["recommended"]["recipe"] == str(path)
     recipe = load_recipe(str(path)).value
     assert (recipe.name, recipe.analysis.transients) == ("short", "predicted")
-    assert "Simulated: force error 0.115 ± 0.005 N over 2 sensors" in path.read_text()
+    assert "Simulated: mean force error of 3 sensors 0.120 ± 0.000 N, 22 min" in path.read_text()
     asked = ["run", "--station", "simulated", "--recipe", str(path), "--serial", "S-1", "--dry-run"]
     assert run_guarded(asked) == 0
     assert "station time" in capsys.readouterr().out

@@ -3,13 +3,14 @@
 import math
 from dataclasses import replace
 
+import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
 from cbsr_qa.domain.errors import NumericsError, StoreError
 from cbsr_qa.report.document import json_document
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
-from cbsr_qa.studies.frontier.recommend import joint_stderr, mark_worth
+from cbsr_qa.studies.frontier.worth import mark_worth
 
 numbers = st.floats(-1e6, 1e6)
 figures = st.builds(
@@ -18,6 +19,7 @@ figures = st.builds(
     st.none() | st.floats(0, 1e6),
     st.sampled_from(["mm", "%", "1"]),
     st.sampled_from(["more", "less"]),
+    st.lists(numbers, max_size=3).map(tuple),
 )
 points = st.builds(
     Point,
@@ -76,6 +78,7 @@ def test_a_point_that_was_stored_before_it_was_compared_can_be_read():
         ("seeds", 0),
         ("compute_s", "fast"),
         ("accuracy", {"E": {"value": 1}}),
+        ("accuracy", {"E": {"value": 1.0, "stderr": None, "unit": "1", "better": "less", "by_sensor": [math.nan]}}),
         ("knobs", {"a": None}),
         ("knobs", []),
         ("series", 3),
@@ -138,7 +141,7 @@ def test_the_order_of_settings_does_not_matter(rows, random):
 
 def test_a_dearer_setting_is_kept_only_where_it_is_better_by_more_than_chance():
     cheap, alike, better = (_point(cost, {"E": (value, 0.3)}) for cost, value in ((1, 1.0), (2, 0.7), (3, 0.5)))
-    assert joint_stderr(cheap.accuracy["E"], alike.accuracy["E"]) == pytest.approx(0.3 * math.sqrt(2))
+    assert cheap.accuracy["E"].subtract(alike.accuracy["E"]).stderr == pytest.approx(0.3 * math.sqrt(2))
     assert _worth([cheap, alike, better]) == (True, False, True)
 
 
@@ -165,3 +168,31 @@ def test_settings_are_compared_within_their_series_unless_asked_otherwise(across
     cheap, dear = _point(1, {"a": (1, None)}), replace(_point(2, {"a": (2, None)}), series="another")
     found = mark_worth([cheap, dear], lambda point: point.compute_s, across_series=across_series)
     assert [point.pareto for point in found] == [True, not across_series]
+
+
+def test_settings_tried_on_the_same_sensors_are_compared_in_pairs():
+    """Sensors differ by much more than the two settings do on each of them."""
+    sensors = np.array([1.0, 2.0, 3.0, 6.0])
+    cheap, better = (Accuracy.from_sensors(values, "N") for values in (sensors, sensors - [0.1, 0.11, 0.09, 0.1]))
+    assert better.subtract(cheap).stderr == pytest.approx(np.std([0.1, 0.11, 0.09, 0.1], ddof=1) / 2)
+    assert better.subtract(cheap).stderr < 0.01 < 0.5 < math.hypot(cheap.stderr, better.stderr)
+    points = [replace(_point(cost, {}), accuracy={"E": value}) for cost, value in ((1, cheap), (2, better))]
+    assert _worth(points) == (True, True)
+    others = [replace(point, accuracy={"E": replace(point.accuracy["E"], by_sensor=())}) for point in points]
+    assert _worth(others) == (True, False)
+
+
+def test_a_difference_to_a_multiple_is_of_pairs_too():
+    one, other = Accuracy.from_sensors([1.0, 2.0, 4.0], "N"), Accuracy.from_sensors([2.0, 4.0, 8.0], "N")
+    assert (one.subtract(other, 0.5).value, one.subtract(other, 0.5).stderr) == (0.0, 0.0)
+    unpaired = one.subtract(Accuracy(2.0, 0.3, "N"), 2.0)
+    assert (unpaired.value, unpaired.stderr) == pytest.approx((7 / 3 - 4, math.hypot(one.stderr, 0.6)))
+
+
+def test_an_upper_bound_holds_as_often_as_it_says():
+    random = np.random.default_rng(3)
+    bounds = [Accuracy.from_sensors(1 + random.standard_normal(4), "N").upper_bound(0.9) for _ in range(2000)]
+    assert np.mean(np.array(bounds) >= 1) == pytest.approx(0.9, abs=0.02)
+    assert Accuracy(1.0, 0.1, "N").upper_bound(0.95) == pytest.approx(1.1645, abs=1e-4)
+    assert Accuracy(1.0, None, "N").upper_bound(0.95) == 1.0  # exact
+    assert Accuracy.from_sensors([1.0], "N").upper_bound(0.95) is None

@@ -20,6 +20,7 @@ from cbsr_qa.studies.frontier.station import (
     choices_of_even,
     parts_of_even,
     parts_of_paper,
+    quick_ways,
     ways_by_simulation,
 )
 from cbsr_qa.studies.simulated import configuration_of
@@ -138,12 +139,11 @@ def test_every_setting_of_the_sweeps_is_within_what_is_simulated_for_it():
         assert set(setting.strains_percent) <= set(PAPER.strains_percent)
         assert setting.trials <= PAPER.trials
         assert (setting.places, setting.hold_s, setting.rest_s) == (PAPER.places, PAPER.hold_s, PAPER.rest_s)
-    for _, setting in (*parts_of_even(quick=False), *choices_of_even()):
+    for _, setting in (*parts_of_even(), *choices_of_even()):
         assert setting.places <= EVEN.places
         assert setting.hold_s <= EVEN.hold_s
         assert (setting.strains_percent, setting.rest_s) == (EVEN.strains_percent, EVEN.rest_s)
-    for quick in (True, False):
-        everything = [*parts_of_paper(), *parts_of_even(quick=quick), *ways_by_simulation(quick=quick)]
-        assert len(set(everything)) == len(everything)
-        for _, setting in everything:
-            assert dry(setting).violations == ()
+    whole = [*parts_of_paper(), *parts_of_even(), *ways_by_simulation()]
+    assert len(set(whole)) == len(whole)
+    for _, setting in {*whole, *quick_ways(9), *quick_ways(16)}:
+        assert dry(setting).violations == ()

@@ -1,16 +1,25 @@
-"""Trials of several sensors as points: root mean squares, their standard error, refusals, documents."""
+"""Trials of several sensors as points: means, their standard error, refusals, documents."""
 
 import math
 
-import numpy as np
 import pytest
 from hypothesis import given, strategies as st
 
+from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.report.document import json_document
 from cbsr_qa.studies.frontier.point import TimeBasis, restore
 from cbsr_qa.studies.frontier.setting import FARTHEST, LEAST_SURE, SUNFLOWER, Setting
-from cbsr_qa.studies.frontier.station import Tried, station_points, worth_the_station
+from cbsr_qa.studies.frontier.station import (
+    PAPER,
+    SHIPPED,
+    Tried,
+    parts_of_paper,
+    quick_ways,
+    station_points,
+    station_work,
+    worth_the_station,
+)
 from cbsr_qa.studies.frontier.trial import UNITS
 
 SETTING = Setting(9)
@@ -68,28 +77,40 @@ def test_a_damaged_trial_is_refused(change):
         restore(Tried, {key: value for key, value in document.items() if key not in change})
 
 
-def test_figures_are_root_mean_squares_whatever_their_sign():
+def test_values_are_means_over_sensors_whatever_their_sign():
     point = only_point(tried(1, gauge_factor_error=0.03), tried(2, gauge_factor_error=-0.04))
-    assert point.accuracy["gauge_factor_error"].value == pytest.approx(math.sqrt(0.0025 / 2))
+    gauge = point.accuracy["gauge_factor_error"]
+    assert (gauge.value, gauge.stderr) == pytest.approx((0.035, 0.005))
+    assert gauge.by_sensor == (0.03, 0.04)
     assert (point.clock, point.station_s, point.compute_s, point.seeds) == (TimeBasis.STATION, 600.0, None, 2)
     assert point.knobs == SETTING.knobs
 
 
-def test_their_standard_error_is_the_scatter_of_repeated_sweeps():
-    random = np.random.default_rng(8)
-    sensors, sweeps = 12, 2000
-    errors = 0.05 + 0.02 * random.standard_normal((sweeps, sensors))
-    points = [only_point(*(tried(k, force_error=value) for k, value in enumerate(row))) for row in errors]
-    values = np.array([point.accuracy["force_error"].value for point in points])
-    stated = np.array([point.accuracy["force_error"].stderr for point in points])
-    # Of 2000 sweeps a standard deviation is known to 1.6 %; terms of second order are (0.02/0.05)²/12 = 1.3 %.
-    assert np.sqrt(np.mean(stated**2)) == pytest.approx(values.std(ddof=1), rel=0.06)
+def test_the_papers_campaign_and_the_shipped_recipe_are_named():
+    ways = station_points([tried(1, PAPER), tried(1, SHIPPED), tried(1)], lambda setting: 600.0)
+    assert [point.note for _, point in ways] == ["the paper's campaign", "the shipped recipe nine-locations", ""]
+
+
+def test_the_shipped_recipe_is_that_of_the_folder():
+    recipe = open_document(DocumentKind.RECIPE, "nine-locations").data
+    (grid,) = (phase for phase in recipe["phases"] if phase["name"] == "nine locations")
+    stated = tuple(grid["strains_percent"]), grid["trials"], grid["hold_s"], grid["rest_s"]
+    assert stated == (SHIPPED.strains_percent, SHIPPED.trials, SHIPPED.hold_s, SHIPPED.rest_s)
+    assert (SHIPPED.places, SHIPPED.predicted) == (9, recipe["analysis"].get("transients") == "predicted")
+
+
+def test_the_quick_sweep_shows_the_shipped_recipe_the_papers_campaign_and_six_more():
+    quick = [*parts_of_paper(), *quick_ways(16), *quick_ways(9)]
+    settings = {setting for _, setting in quick}
+    assert {PAPER, SHIPPED} < settings
+    assert len(settings) >= 8
+    assert len(list(station_work(quick=True))) == 3  # simulations of one sensor
 
 
 def test_one_sensor_has_no_standard_error_and_nothing_at_all_neither():
     assert only_point(tried(1, force_error=0.1)).accuracy["force_error"].stderr is None
     nothing = only_point(tried(1, force_error=0.0), tried(2, force_error=0.0)).accuracy["force_error"]
-    assert (nothing.value, nothing.stderr) == (0.0, None)
+    assert (nothing.value, nothing.stderr) == (0.0, 0.0)
 
 
 def test_a_setting_that_some_sensors_refused_has_no_figures_and_says_why():

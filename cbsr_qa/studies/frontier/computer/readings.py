@@ -1,12 +1,10 @@
 """Places and sizes of nine loads in images, from simulated noisy readings of the base scene."""
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from typing import Final
 
 import numpy as np
-from scipy.stats import sem
 
 from cbsr_qa.config.loader import load_material, load_scene_plan, load_sensor_type
 from cbsr_qa.domain.errors import ConfigError
@@ -112,7 +110,7 @@ def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadin
     sensors = [_sensor(prepared, readings, number) for number in range(len(readings.loaded))]
     figures_by_sensor = [[figures for figures in sensor if figures is not None] for sensor in sensors]
     missed = [1 - len(sensor_figures) / len(readings.heads) for sensor_figures in figures_by_sensor]
-    figures = {"missed": _mean(missed, "1")}
+    figures = {"missed": Accuracy.from_sensors(missed, "1")}
     for name, (attribute, unit, better) in _FIGURES.items():
         means = [
             np.mean([getattr(load_figures, attribute) for load_figures in sensor_figures])
@@ -120,7 +118,8 @@ def figures_of_merit(prepared: PreparedReconstruction, readings: SimulatedReadin
             if sensor_figures
         ]
         if means:
-            figures[name] = _mean(means, unit, better)
+            mean = Accuracy.from_sensors(means, unit, better)
+            figures[name] = mean if len(means) == len(sensors) else replace(mean, by_sensor=())  # no pairs of sensors
     return figures
 
 
@@ -145,9 +144,3 @@ def _sensor(
         regions = contour_regions(Image(prepared.problem.mesh, subtract_noise_floor(image, floor)), _MASK)
         figures += spatial_figures([nearest_blob(regions, *head.centre_mm)], head)
     return figures
-
-
-def _mean(values: Sequence[float], unit: str, better: Better = "less") -> Accuracy:
-    """Mean over sensors with its standard error, which needs at least two."""
-    stderr = float(sem(values)) if len(values) > 1 else None
-    return Accuracy(float(np.mean(values)), stderr, unit, better)

@@ -24,7 +24,7 @@ from cbsr_qa.studies.frontier.computer.imaging import (
     precision_point,
 )
 from cbsr_qa.studies.frontier.point import Knob, Point
-from cbsr_qa.studies.frontier.recommend import mark_worth
+from cbsr_qa.studies.frontier.worth import mark_worth
 from cbsr_qa.studies.sweep import Work
 
 # Settings of the whole sweep (False) and of the quick one (True).
@@ -49,7 +49,7 @@ _IMAGE_SIZES_MM: Final[Mapping[bool, Mapping[MethodSetting, tuple[float, ...]]]]
     True: {RECIPES_METHOD: (6.0, 3.0), _GREIT: (6.0,)},
 }
 
-_VERSION: Final = 1  # of the measured quantity: points of different versions are not comparable
+_VERSION: Final = 2  # of the measured quantity: points of different versions are not comparable
 
 
 def computer_work(*, quick: bool = False) -> Iterator[Work]:

@@ -15,12 +15,15 @@ _TICKS: Final = tuple(digit * 10.0**power for power in range(-2, 5) for digit in
 
 
 @draw_svg
-def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], target_mm: float | None = None) -> Canvas:
+def presses_figure(
+    series: Sequence[tuple[str, Sequence[Point]]], target_mm: float | None = None, guess_mm: float | None = None
+) -> Canvas:
     """Draw error of place and coverage against presses, each with standard errors.
 
     Parameters
     ----------
     series : names, and points of each in the order of their presses.
+    target_mm, guess_mm : target, and error of guessing, as lines.
     """
     figure = canvas(3.1)
     error = plot(figure, (0.07, 0.14, 0.4, 0.74), "mean error of place [mm]", x="presses", grid="both")
@@ -33,6 +36,11 @@ def presses_figure(series: Sequence[tuple[str, Sequence[Point]]], target_mm: flo
     error.set_yscale("log")
     if target_mm is not None:
         error.axhline(target_mm, color=FAINT, linewidth=0.8, zorder=1)
+    if guess_mm is not None:
+        error.axhline(guess_mm, color=INK, linewidth=0.8, linestyle="dashed", zorder=1)
+        error.text(
+            0.99, guess_mm, "guessing", transform=error.get_yaxis_transform(), ha="right", va="bottom", fontsize=7
+        )
     for level_percent in (68, 95):
         coverage.axhline(level_percent, color=INK, linewidth=0.8, zorder=1)
         coverage.text(

@@ -1,63 +1,75 @@
-"""Number of presses for a target error of place: among those tried, or by a power law if the errors follow one."""
+"""Number of presses for a target error of place: among those tried, or by a law with a floor."""
 
-from collections.abc import Mapping, Sequence
+import math
+from collections.abc import Callable, Mapping, Sequence
 from typing import Final
 
-import numpy as np
-from scipy.stats import chi2
-
-from cbsr_qa.domain.numbers import Array
 from cbsr_qa.report.tables import with_uncertainty
 from cbsr_qa.studies.frontier.point import Accuracy, Point
-from cbsr_qa.studies.frontier.recommend import Needed, Recommendation, joint_stderr
+from cbsr_qa.studies.frontier.presses.law import MIN_POINTS, LearningCurve, fit_laws
+from cbsr_qa.studies.frontier.recommend import Needed, Recommendation
 
 PLACE: Final = "place_error"
 COVERED: Final = {"68": "covered_68", "95": "covered_95"}
-#: Least number of points for a power law: two parameters, and two to contradict them.
-_MIN_FITTED: Final = 4
-#: Probability of deviations as large as a law's own, below which the law does not fit.
-_FITS: Final = 0.05
-#: Smallest ratio of the exponent to its standard error for errors that decrease.
-_FALLS: Final = 2.0
+#: Confidence with which an error is below its target, or below that of guessing.
+_CONFIDENCE: Final = 0.95
 #: Number of standard errors by which a region must hold less than it states to be reported.
 _CLEARLY: Final = 2.0
-#: Largest extrapolation, as a factor of the largest number tried.
+#: Largest number that is stated, as a factor of the largest number tried.
 _FURTHEST: Final = 8.0
+#: A target that is not reached with so many times the largest number tried cannot be reached.
+_NEVER: Final = 1000.0
 
 
-def recommend_presses(points: Sequence[Point], target_mm: float | None) -> Recommendation:
-    """Choose the smallest number of presses whose error plus its standard error meets the target.
+def recommend_presses(
+    points: Sequence[Point], curve: LearningCurve | None, target_mm: float | None, guess_mm: float
+) -> Recommendation:
+    """Choose the smallest number of presses whose error is below the target, with a confidence of 95 %.
 
-    Without a target, the smallest that no larger number beats by more than their joint standard error.
+    Without a target, the smallest that no larger number beats by more than the standard error of the difference.
+    Numbers that are not sure to be better than guessing are not chosen.
+
+    Parameters
+    ----------
+    points : numbers of presses that were tried, drawn at random.
+    curve : their errors, to forecast those of more presses; None if they cannot be resampled.
+    guess_mm : error of guessing.
     """
-    points = sorted(points, key=_number)
     if not points:
         return Recommendation(None, None, None, "nothing was learned from presses drawn at random")
-    largest = points[-1]
+    useful = sorted((point for point in points if beats_guessing(point, guess_mm)), key=_number)
     best = min(points, key=lambda point: point.accuracy[PLACE].value)
     error = best.accuracy[PLACE]
+    reached = f"{_number(best)} of them leave {with_uncertainty(error.value, error.stderr or 0.0)} mm"
+    if not useful:
+        why = f"no number of these presses is surely better than guessing, {guess_mm:.3g} mm: {reached}"
+        return Recommendation(None, None, None, why)
     if target_mm is None:
         sufficient = [
             point
-            for point in points
-            if point.accuracy[PLACE].value <= error.value + joint_stderr(point.accuracy[PLACE], error)
+            for point in useful
+            if point.accuracy[PLACE].value <= error.value + (error.subtract(point.accuracy[PLACE]).stderr or 0.0)
         ]
-        why = "the fewest that no larger number beats by more than the joint standard error"
-        why += "; more presses may still be better" if sufficient[0] is largest else ""
+        why = "the fewest that no larger number beats by more than the standard error of the difference"
+        why += "; more presses may still be better" if sufficient[0] is useful[-1] else ""
     else:
-        sufficient = [point for point in points if point.accuracy[PLACE].upper <= target_mm]
-        target_words = f"whose error of place, with its standard error, is at most {target_mm:g} mm"
-        why = f"the fewest of {len(points)} numbers that were tried {target_words}"
+        sufficient = [point for point in useful if _is_below(point, target_mm)]
+        limit = f"at most {target_mm:g} mm with {100 * _CONFIDENCE:g} % confidence"
+        why = f"the fewest of {len(points)} numbers that were tried whose mean error of place is {limit}"
     if sufficient:
         loose_words = loose_regions(sufficient[0].accuracy)
         return Recommendation.from_point(
             sufficient[0], f"{why}; but {loose_words}, so errors are stated too small" if loose_words else why
         )
     assert target_mm is not None  # without a target the best itself is enough
-    needed, extrapolation = extrapolate_presses(points, target_mm)
-    reached = f"{_number(best)} of them leave {error.value:.2f} ± {error.stderr or 0.0:.2f} mm"
-    why = f"these presses do not reach {target_mm:g} mm: {reached}; {extrapolation}"
+    needed, forecast = forecast_presses(curve, target_mm)
+    why = f"these presses are not sure to reach {target_mm:g} mm: {reached}; {forecast}"
     return Recommendation(None, None, None, why, needed=needed)
+
+
+def beats_guessing(point: Point, guess_mm: float) -> bool:
+    """Whether the error of place is below that of guessing, with a confidence of 95 %."""
+    return _is_below(point, guess_mm)
 
 
 def loose_regions(accuracy: Mapping[str, Accuracy]) -> str:
@@ -70,48 +82,45 @@ def loose_regions(accuracy: Mapping[str, Accuracy]) -> str:
     )
 
 
-def extrapolate_presses(points: Sequence[Point], target_mm: float) -> tuple[Needed | None, str]:
-    """Extrapolate errors to a target, and describe it; None if no power law fits, or the target is too far away.
+def forecast_presses(curve: LearningCurve | None, target_mm: float) -> tuple[Needed | None, str]:
+    """Forecast the presses that a target needs, and describe it; None if their errors tell nothing.
 
-    A law error = a n^(−b) is fitted to logarithms with their standard errors, from the smallest number from which it
-    fits.
+    Limits are stated up to eight times the largest number tried; beyond, only the lower one is.
     """
-    law = next(filter(None, (_power_law(points[first:]) for first in range(len(points)))), None)
-    if law is None:
-        return None, "how many would is not known: no falling power law fits the errors of the largest numbers"
-    (power, offset), covariance, centre = law
-    away = (np.log(target_mm) - offset) / power
-    slope = -np.array([away, 1.0]) / power  # of that by both parameters
-    stderr = np.sqrt(slope @ covariance @ slope)
-    low, middle, high = (int(float(f"{np.exp(centre + away + k * stderr):.3g}")) for k in (-1, 0, 1))
-    law_words = f"errors fall with the number to the power of −{-power:.2f} ± {np.sqrt(covariance[0, 0]):.2f}"
-    if high > _FURTHEST * _number(points[-1]):
-        return None, f"{law_words}, by which more than {_FURTHEST:g} times as many might be needed: too far to tell"
-    description = f"{law_words}, by which about {middle} would ({low} to {high}: one standard error)"
-    return Needed(middle, low, high), description
-
-
-def _power_law(points: Sequence[Point]) -> tuple[Array, Array, float] | None:
-    """Fit log error = p₀ (log n − c) + p₁ by weighted least squares.
-
-    Returns
-    -------
-    p (2,), its covariance (2, 2) and c; None if the law does not fit or does not decrease.
-    """
-    errors = [point.accuracy[PLACE] for point in points]
-    if len(points) < _MIN_FITTED or not all(error.stderr and error.value > 0 for error in errors):
-        return None
-    logs = np.log([_number(point) for point in points])
-    log_errors = np.log([error.value for error in errors])
-    weight = np.array([error.value / (error.stderr or 1.0) for error in errors])
-    parameters, covariance = np.polyfit(logs - logs.mean(), log_errors, 1, w=weight, cov="unscaled")
-    misfit = np.square(weight * (np.polyval(parameters, logs - logs.mean()) - log_errors)).sum()
-    error_falls = -parameters[0] > _FALLS * np.sqrt(covariance[0, 0])
+    unknown = "how many would is not known"
+    if curve is None or len(curve.numbers) < MIN_POINTS:
+        return None, f"{unknown}: that takes {MIN_POINTS} numbers of presses, with several draws"
+    laws = fit_laws(curve)
+    if laws is None:
+        return None, f"{unknown}: the errors follow no law with a floor"
+    low, best, high = laws.forecast_number(target_mm)
+    largest = curve.numbers[-1]
+    if low > _NEVER * largest:
+        least, _, most = laws.forecast_error(_NEVER * largest)
+        levels = f"errors level off between {least:.3g} and {most:.3g} mm (95 % confidence)"
+        return Needed(None, None, None, False), f"more presses of this kind cannot reach it: {levels}"
+    furthest = _FURTHEST * largest
+    presses = _round(best, round) if best <= furthest else None
+    if high <= furthest:
+        limits = _round(low, math.floor), _round(high, math.ceil)
+        return Needed(presses, *limits, True), f"about {presses} would ({limits[0]} to {limits[1]}, 95 % confidence)"
+    least_number = _round(min(low, furthest), math.floor)
+    doubt = "and perhaps no number reaches it" if math.isinf(high) else "and how many is too far away to tell"
     return (
-        (parameters, covariance, float(logs.mean()))
-        if error_falls and chi2.sf(misfit, len(points) - 2) >= _FITS
-        else None
+        Needed(presses, least_number, None, None),
+        f"at least {least_number} would be needed (95 % confidence), {doubt}",
     )
+
+
+def _round(number: float, rounded: Callable[[float], int]) -> int:
+    """Round a number to three digits."""
+    unit = 10.0 ** max(0, math.floor(math.log10(max(number, 1.0))) - 2)
+    return int(rounded(number / unit) * unit)
+
+
+def _is_below(point: Point, error_mm: float) -> bool:
+    bound = point.accuracy[PLACE].upper_bound(_CONFIDENCE)
+    return bound is not None and bound <= error_mm
 
 
 def _number(point: Point) -> int:

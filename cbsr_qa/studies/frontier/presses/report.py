@@ -11,18 +11,22 @@ from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER
 from cbsr_qa.studies.frontier.report import notes_of
 from cbsr_qa.studies.frontier.study import Frontier
 
-_CAPTION: Final = "•: no fewer presses are as good within the errors. Learning and frame: time on one core."
+_CAPTION: Final = (
+    "•: better than guessing, and no fewer presses are as good within the errors. Learning and frame: time on one"
+    " core."
+)
 _FIGURE: Final = (
-    "Left: mean distance of the places found from the true ones, of presses that nothing was learned from. Right:"
-    " share of them inside the regions of 68 % (filled) and 95 % (hollow), which should lie on the lines. Bars are"
-    " standard errors."
+    "Left: mean distance of the places found from the true ones, of presses that nothing was learned from; dashed:"
+    " guessing, which always takes the middle of all presses. Right: share of them inside the regions of 68 %"
+    " (filled) and 95 % (hollow), which should lie on the lines. Bars are standard errors."
 )
 _READING: Final = (
     "Presses are drawn at random, the place is learned from them as cbsr-qa calibrate does, and presses that were not"
     " drawn are located. What is drawn at random lies between the presses located; drift over a session then hardly"
     " matters. How much it matters the second table shows: there the first presses of the session locate its last.",
-    "A draw is registered and learned from its own presses alone. Its standard error is of draws and of the presses"
-    " located together, all from this one table: another sheet may differ by more.",
+    "A draw is registered and learned from its own presses alone. Standard errors come from resampling the draws and"
+    " the presses located, all from this one table: another sheet may differ by more. More presses than these are"
+    " forecast by laws that fall towards a floor; the limits are those of all laws that fit, with 95 % confidence.",
 )
 
 
@@ -37,7 +41,7 @@ def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None)
     def draw() -> str:
         from cbsr_qa.studies.frontier.presses.figures import presses_figure  # loads matplotlib
 
-        return presses_figure(series, target_mm)
+        return presses_figure(series, target_mm, frontier.guess_mm)
 
     figure = Figure(_FIGURE, "Errors and coverage against the number of presses; the tables have the numbers.", draw)
     sections = (
@@ -54,6 +58,10 @@ def _page(frontier: Frontier, name: str) -> Page:
         headline = f"{recommended.setting['presses']} presses: {_format_accuracy(recommended.accuracy[PLACE])} mm"
         banner = Banner("pass", "✓", headline, recommended.why)
     facts = [("Recording", name)]
+    if frontier.guess_mm is not None:
+        facts.append(
+            ("Guessing", f"{frontier.guess_mm:.3g} mm, the error of always taking the middle of all presses")
+        )
     if recommended.station_s is not None:
         facts.append(("Time of these presses", f"{duration(recommended.station_s)} at the pace of the table"))
     if frontier.quick:

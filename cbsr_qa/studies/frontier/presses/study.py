@@ -14,14 +14,18 @@ import numpy as np
 from cbsr_qa.calibration.place.held_out import visits_of
 from cbsr_qa.calibration.place.learning import FEWEST_PRESSES
 from cbsr_qa.calibration.presses.inputs import LabelledPresses
+from cbsr_qa.calibration.presses.learning import DOUBTFUL_SHARE
+from cbsr_qa.calibration.presses.row_order import find_row_order, guess_error
 from cbsr_qa.domain.errors import CalibrationError, RecordingError, RefusedError
 from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.report.tables import plural
 from cbsr_qa.studies.frontier.point import Accuracy, Better, Point, TimeBasis
-from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, loose_regions, recommend_presses
+from cbsr_qa.studies.frontier.presses.law import LearningCurve
+from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE, beats_guessing, loose_regions, recommend_presses
+from cbsr_qa.studies.frontier.presses.resampling import resample_errors
 from cbsr_qa.studies.frontier.presses.trial import Trial, try_presses
-from cbsr_qa.studies.frontier.recommend import mark_worth
 from cbsr_qa.studies.frontier.study import Frontier
+from cbsr_qa.studies.frontier.worth import mark_worth
 from cbsr_qa.studies.sweep import Tell
 
 AT_RANDOM: Final = "drawn at random"
@@ -82,15 +86,30 @@ def press_frontier(
     unchanged = int((~has_change).sum())
     note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
     outcomes = [_point(*key, trials, pace_s, note) for key, trials in trials_by_draw.items()]
-    points = mark_worth(
-        [outcome for outcome in outcomes if isinstance(outcome, Point)],
-        lambda point: float(point.knobs["presses"]),
-        [PLACE],
-    )
+    points = [outcome for outcome in outcomes if isinstance(outcome, Point)]
     if not points:
         raise RefusedError(f"nothing can be learned from any draw of these presses: {outcomes[0]}")
-    recommendation = recommend_presses([point for point in points if point.series == AT_RANDOM], target_mm)
-    return Frontier(quick, tuple(points), recommendation)
+    place_mm = labelled.presses.place_mm
+    curve = resample_errors(
+        {
+            number: completed
+            for (series, number), trials in trials_by_draw.items()
+            if series == AT_RANDOM and (completed := [trial for trial in trials if isinstance(trial, Trial)])
+        },
+        visits_of(place_mm - place_mm.mean(axis=0)),
+    )
+    if curve is not None:
+        points = [_state_resampled_error(point, curve) for point in points]
+    guess_mm = guess_error(place_mm)
+    points = mark_worth(
+        points, lambda point: float(point.knobs["presses"]) if beats_guessing(point, guess_mm) else None, [PLACE]
+    )
+    at_random = [point for point in points if point.series == AT_RANDOM]
+    recommendation = recommend_presses(at_random, curve, target_mm, guess_mm)
+    least_mm = min(point.accuracy[PLACE].value for point in points)
+    if least_mm > DOUBTFUL_SHARE * guess_mm and (order := find_row_order(labelled.readings.changes, place_mm)):
+        recommendation = replace(recommendation, why=f"{order.words}; {recommendation.why}")
+    return Frontier(quick, tuple(points), recommendation, guess_mm)
 
 
 def numbers_of(total: int) -> list[int]:
@@ -178,6 +197,16 @@ def _point(series: str, number: int, trials: Sequence[Trial | str], pace_s: floa
         note="; ".join(filter(None, (refusal_note, note, loose_regions(accuracy)))),
         costs={"learning_s": float(np.median([trial.learning_s for trial in completed]))},
     )
+
+
+def _state_resampled_error(point: Point, curve: LearningCurve) -> Point:
+    """Return a point of presses drawn at random with the standard error of the curve."""
+    if point.series != AT_RANDOM:
+        return point
+    index = int(np.flatnonzero(curve.numbers == point.knobs["presses"])[0])
+    place = point.accuracy[PLACE]
+    stderr = place.value * float(np.sqrt(curve.covariance[index, index]))
+    return replace(point, accuracy={**point.accuracy, PLACE: replace(place, stderr=stderr)})
 
 
 def _mean(trials: Sequence[Trial], values: Sequence[Array], unit: str, better: Better) -> Accuracy:
