@@ -23,7 +23,7 @@ _OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
 LABELS: Final = (*_PLACE, *_OPTIONAL)
 _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in LABELS}
 #: Largest share of a pattern's pairs, and of its drives, that measure at driven electrodes by mistake: if more do,
-#: that is its kind. A single drive is few, unless there is no other.
+#: that is its kind. A single drive is few, unless there is no other. The same share of pairs stands twice by mistake.
 _FEW_AT_DRIVEN: Final = 0.1
 #: Most electrodes of a pattern.
 _MOST_ELECTRODES: Final = 256
@@ -104,7 +104,7 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
     ------
     RecordingError
         As for :func:`read_table`; if a column is missing, a cell is not an electrode of the sensor or paired with
-        itself, or a few pairs measure at an electrode that they drive and all others do not.
+        itself; or if a few pairs stand twice, or measure at an electrode that they drive, and all others do not.
     """
     table = read_table(path)
     missing_columns = [name for name in _PAIR_COLUMNS if name not in table.columns]
@@ -154,6 +154,10 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
     if values.min() == 1 and values.max() == electrodes:
         yield f"electrodes are numbered from 1 to {electrodes}; they are counted from 0"
         return
+    used = np.unique(values)
+    if values.max() >= electrodes and used.size > electrodes and electrodes < _MOST_ELECTRODES:
+        yield f"it has {used.size} electrodes, up to {used[-1]:g}; the sensor type has {electrodes}, counted from 0"
+        return
     for row, numbers in enumerate(values.tolist(), 1):
         for name, number in zip(_PAIR_COLUMNS, numbers, strict=True):
             if not (number.is_integer() and 0 <= number < electrodes):
@@ -163,6 +167,15 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
             yield f"row {row}, column sink: current from electrode {source:g} to itself"
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
+    first_rows: dict[tuple[float, ...], int] = {}
+    repeated = [
+        (row, first)
+        for row, pair in enumerate(map(tuple, values.tolist()), 1)
+        if (first := first_rows.setdefault(pair, row)) != row
+    ]
+    if len(repeated) <= max(_FEW_AT_DRIVEN * len(values), 1):
+        for row, first in repeated:
+            yield f"row {row} repeats row {first}: {','.join(f'{number:g}' for number in values[row - 1])}"
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
     drives, odd_drives = (len(np.unique(rows[:, :2], axis=0)) for rows in (values, values[at_driven]))
     is_few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
