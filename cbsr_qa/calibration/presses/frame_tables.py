@@ -106,7 +106,7 @@ def real_readings(readings: NDArray[np.complex128], unloaded: NDArray[np.complex
 def check_same_unit(frames: FrameTable, rest: FrameTable | None = None) -> None:
     """Check that whole frames have one unit, and that of the frames at rest; RecordingError names rows or columns."""
     problems = [
-        f"row {row + 1}: its readings are {ratio:.3g} times as large as those of the other rows"
+        f"row {row + 1}: its readings are {ratio:.4g} times as large as those of the other rows"
         for row, ratio in find_odd_sizes(frames.readings)
     ]
     if rest is not None and not problems:
@@ -125,7 +125,7 @@ def find_odd_sizes(frames: Array) -> Iterator[tuple[int, float]]:
         yield row, float(ratios[row])
 
 
-def other_unit(size: float, other: float) -> float | None:
+def find_other_unit(size: float, other: float) -> float | None:
     """Return how many times as large a size is as another if units differ, else None."""
     if not (size > 0 and other > 0):
         return None
@@ -136,13 +136,13 @@ def other_unit(size: float, other: float) -> float | None:
 def _level_problems(columns: tuple[str, ...], level: Array, rest_level: Array, rest: Path) -> Iterator[str]:
     """Compare the levels (m,) of columns with those at rest, of all and then of each against all."""
     usual, rest_usual = float(np.median(level)), float(np.median(rest_level))
-    if ratio := other_unit(usual, rest_usual):
-        yield f"its readings are {ratio:.3g} times as large as those of {rest}"
+    if ratio := find_other_unit(usual, rest_usual):
+        yield f"its readings are {ratio:.4g} times as large as those of {rest}"
         return
     noticeable = rest_level > rest_usual / _OTHER_UNIT
     for k in np.flatnonzero(noticeable).tolist():
-        if ratio := other_unit(float(level[k]), float(rest_level[k])):
-            yield f"column {columns[k]}: its readings are {ratio:.3g} times as large as those of {rest}"
+        if ratio := find_other_unit(float(level[k]), float(rest_level[k])):
+            yield f"column {columns[k]}: its readings are {ratio:.4g} times as large as those of {rest}"
 
 
 def _split_columns(table: NumberTable, pairs: int) -> tuple[tuple[str, ...], Array | None]:

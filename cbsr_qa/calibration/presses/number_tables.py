@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
-
 from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RecordingError
@@ -286,7 +285,7 @@ class _Numbers:
         if self._imaginary is not None:
             self._imaginary.extend(imaginary)
         for column, number in enumerate(numbers):
-            if number == number or self._shown[column] >= _MAX_LISTED_CELLS:
+            if not cmath.isnan(number) or self._shown[column] >= _MAX_LISTED_CELLS:
                 continue
             self._shown[column] += 1
             cell = cells[column]

@@ -115,7 +115,7 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
         )
     values = table.numbers(_PAIR_COLUMNS)
     count = _MOST_ELECTRODES if electrodes is None else electrodes
-    table.refuse(list(_pair_problems(values, count)))
+    table.refuse(list(pair_problems(values, count)))
     return values.astype(np.int64)
 
 
@@ -150,12 +150,14 @@ def _header_problems(columns: Sequence[str]) -> Iterator[str]:
     )
 
 
-def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
+def pair_problems(values: Array, electrodes: int) -> Iterator[str]:
+    """Yield what is wrong with numbers (m, 4) as pairs of so many electrodes; rows count from 1."""
     if values.min() == 1 and values.max() == electrodes:
         yield f"electrodes are numbered from 1 to {electrodes}; they are counted from 0"
         return
     used = np.unique(values)
-    if values.max() >= electrodes and used.size > electrodes and electrodes < _MOST_ELECTRODES:
+    beyond = (values >= electrodes).any(axis=1)
+    if beyond.mean() > _FEW_AT_DRIVEN and used.size > electrodes and electrodes < _MOST_ELECTRODES:
         yield f"it has {used.size} electrodes, up to {used[-1]:g}; the sensor type has {electrodes}, counted from 0"
         return
     for row, numbers in enumerate(values.tolist(), 1):
@@ -167,6 +169,11 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
             yield f"row {row}, column sink: current from electrode {source:g} to itself"
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
+    yield from _repeat_problems(values)
+    yield from _at_driven_problems(values)
+
+
+def _repeat_problems(values: Array) -> Iterator[str]:
     first_rows: dict[tuple[float, ...], int] = {}
     repeated = [
         (row, first)
@@ -176,6 +183,9 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
     if len(repeated) <= max(_FEW_AT_DRIVEN * len(values), 1):
         for row, first in repeated:
             yield f"row {row} repeats row {first}: {','.join(f'{number:g}' for number in values[row - 1])}"
+
+
+def _at_driven_problems(values: Array) -> Iterator[str]:
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
     drives, odd_drives = (len(np.unique(rows[:, :2], axis=0)) for rows in (values, values[at_driven]))
     is_few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)
