@@ -1,6 +1,6 @@
 """Frames imaged by any reconstruction: without a run, events or metrics."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from typing import Annotated, Final
 
@@ -8,6 +8,8 @@ import numpy as np
 from pydantic import Field, InstanceOf
 
 from cbsr_qa.analysis.recording.analysis import DEFAULT_RECONSTRUCTION
+from cbsr_qa.analysis.recording.imaging import difference_model
+from cbsr_qa.calibration.presses.frame_tables import find_other_unit
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.imaging import Image, PreparedReconstruction
 from cbsr_qa.domain.numbers import Array
@@ -29,6 +31,9 @@ from cbsr_qa.system.copies import come_back_once
 
 #: Largest number of images that are drawn.
 _MOST_DRAWN: Final = 6
+_NO_SCALE: tuple[str, ...] = (
+    "the frames are changes of unknown scale: places and signs count, the size of images does not",
+)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,7 +61,7 @@ class ImagedFrames:
 
 def image_frames(
     frames: FrameBlock,
-    reference: FrameBlock,
+    reference: FrameBlock | None,
     sensor_type: SensorType,
     chosen: PluginChoice | None = None,
     *,
@@ -64,11 +69,13 @@ def image_frames(
 ) -> ImagedFrames:
     """Image frames relative to the mean of those of the unloaded sheet.
 
-    Readings that are flagged in a frame of either are left out of all.
+    Readings that are flagged in a frame of either are left out of all. Changes have no scale of their own: the
+    largest of them counts as a tenth of the largest reading, and a warning says so.
 
     Parameters
     ----------
-    reference : frames of the unloaded sheet, at least one, in the unit of the others and at their current.
+    reference : frames of the unloaded sheet, at least one, in the unit of the others and at their current; None if
+        the frames are changes from it.
     chosen : reconstruction and its options; by default that of ``analyse``.
 
     Raises
@@ -76,17 +83,25 @@ def image_frames(
     PluginError
         If there is no such reconstruction, or its options are wrong.
     NumericsError
-        If frames or reference do not fit the sensor type, too few readings are left, or the method cannot image them.
+        If frames or reference do not fit the sensor type, a frame is in another unit, too few readings are left, or
+        the method cannot image them.
     """
     chosen = chosen or PluginChoice(DEFAULT_RECONSTRUCTION, {})
-    _check_alike(frames, reference, sensor_type)
+    blocks = [frames] if reference is None else [frames, reference]
+    _check_alike(blocks, sensor_type)
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, chosen, "reconstruction")
-    flagged = ((np.concatenate([frames.flags, reference.flags]) & UNUSABLE) != 0).any(axis=0)
-    used_mask, unloaded = sensor_type.pattern.usable() & ~flagged, reference.voltages.mean(axis=0)
+    flagged = ((np.concatenate([block.flags for block in blocks]) & UNUSABLE) != 0).any(axis=0)
+    used_mask = sensor_type.pattern.imaged(~flagged)
     tell(f"preparing {chosen.name}")
     problem = imaging_problem(sensor_type, used=used_mask)
-    scale = scale_of(unloaded, problem)
-    if getattr(method, "absolute", False):
+    if reference is None:
+        unloaded, doubts = np.zeros(used_mask.shape), _NO_SCALE
+        scale = 1 / float(difference_model(frames.voltages[:, used_mask], problem).gain[0])
+    else:
+        unloaded = reference.voltages.mean(axis=0)
+        _check_units(frames.voltages[:, used_mask], unloaded[used_mask])
+        scale, doubts = scale_of(unloaded, problem), scale_doubts(unloaded, problem)
+    if getattr(method, "absolute", False) and reference is not None:
         problem = imaging_problem(sensor_type, used=used_mask, measured=unloaded / scale)
     with come_back_once():
         prepared: PreparedReconstruction = method.prepare(problem)
@@ -101,16 +116,28 @@ def image_frames(
         len(frames),
         len(problem.reference),
         len(problem.mesh.elements),
-        scale_doubts(unloaded, problem),
+        doubts,
         values,
         problem.mesh,
         sensor_type,
     )
 
 
-def _check_alike(frames: FrameBlock, reference: FrameBlock, sensor_type: SensorType) -> None:
+def _check_units(frames: Array, unloaded: Array) -> None:
+    """Refuse frames (n, m) in another unit than the unloaded one (m,)."""
+    size = float(np.linalg.norm(unloaded))
+    for number, frame in enumerate(frames):
+        if ratio := find_other_unit(float(np.linalg.norm(frame)), size):
+            raise NumericsError(
+                f"frame {number} (from 0) is {ratio:.3g} times as large as that of the unloaded sheet:"
+                " is it in another unit?",
+                remedy="give all frames in one unit",
+            )
+
+
+def _check_alike(blocks: Sequence[FrameBlock], sensor_type: SensorType) -> None:
     shape = sensor_type.pattern.shape
-    for noun, block in (("frames", frames), ("frames of the unloaded sheet", reference)):
+    for noun, block in zip(("frames", "frames of the unloaded sheet"), blocks, strict=False):
         if block.voltages.shape[1:] != shape:
             raise NumericsError(
                 f"sensor type {sensor_type.name!r} has frames of {shape}, the {noun} have {block.voltages.shape[1:]}",
@@ -118,6 +145,7 @@ def _check_alike(frames: FrameBlock, reference: FrameBlock, sensor_type: SensorT
             )
         if not len(block):
             raise NumericsError(f"there are no {noun}")
+    frames, reference = blocks[0], blocks[-1]
     if frames.unit is not reference.unit or (frames.current_A or reference.current_A) != (
         reference.current_A or frames.current_A
     ):

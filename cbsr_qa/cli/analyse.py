@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, plugin_options
+from cbsr_qa.cli.options import AsJson, one_of, plugin_options
 from cbsr_qa.cli.output import announce, emit_json, note, show
 
 
@@ -19,6 +19,26 @@ def analyse(
     sensor_type: Annotated[
         str | None,
         typer.Option(help="Sensor type that was recorded; without it, lengths are in units of the radius."),
+    ] = None,
+    pattern: Annotated[
+        Path | None,
+        typer.Option(
+            help="FILE is a table of frames (CSV, Parquet): a row per frame, a column per pair, and time_s if known."
+            " This is the table source,sink,plus,minus (electrodes from 0) of its columns, as for calibrate."
+        ),
+    ] = None,
+    differences: Annotated[
+        bool, typer.Option("--differences", help="With --pattern: the readings are changes from the unloaded sheet.")
+    ] = False,
+    rest: Annotated[
+        Path | None, typer.Option(help="With --pattern: frames of the unloaded sheet, with the columns of FILE.")
+    ] = None,
+    complex_part: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PART",
+            help="With --pattern, of complex readings (1.2+0.3j): real, magnitude or in-phase; refused without it.",
+        ),
     ] = None,
     dataset: Annotated[str | None, typer.Option(help="Data set to read, if a file holds several.")] = None,
     reference: Annotated[
@@ -51,10 +71,16 @@ def analyse(
     as_json: AsJson = False,
 ) -> int:
     """Find faulty channels, noise and presses in recordings, without being told where or when."""
+    from cbsr_qa.analysis.recording.table_files import TableForm
     from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
     from cbsr_qa.app.analyse.outcome import AnalysedFiles, analyse_outcome
+    from cbsr_qa.calibration.presses.frame_tables import ComplexPart
     from cbsr_qa.report.document import json_document
 
+    if pattern is None and (differences or rest is not None or complex_part is not None):
+        missing = "it is missing: a table of frames needs the pairs of its columns"
+        raise typer.BadParameter(missing, param_hint="--pattern")
+    part = None if complex_part is None else one_of(ComplexPart, complex_part, "--complex-part")
     request = AnalyseRequest(
         format=format_,
         sensor_type=sensor_type,
@@ -64,11 +90,13 @@ def analyse(
         report=not no_report,
         reconstruction=reconstruction,
         options=plugin_options(option or ()),
+        table=None if pattern is None else TableForm(pattern, differences, rest, part),
     )
     analysed_files = [analyse_file(path, request, tell=announce) for path in files]
     for file in analysed_files:
         if file.error is not None:
-            is_named = file.error.reason.startswith("--") or file.file.name in file.error.reason
+            names = [each.name for each in (file.file, pattern, rest) if each is not None]
+            is_named = file.error.reason.startswith("--") or any(name in file.error.reason for name in names)
             note(f"cbsr-qa: {'' if is_named else f'{file.file.name}: '}{file.error}")
     if as_json:
         emit_json(

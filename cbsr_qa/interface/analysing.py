@@ -6,12 +6,15 @@ from typing import TYPE_CHECKING, Any
 
 from numpy.typing import ArrayLike
 
+from cbsr_qa.analysis.recording.table_files import TableForm
 from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file, analyse_frames
 from cbsr_qa.app.analyse.outcome import Analysed, analyse_outcome
+from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.readings.frames import Recording, ScanKind
 from cbsr_qa.interface.frames import Frames, frame_block, recording_dataset
 from cbsr_qa.interface.result import Progress, Result, quiet
+from cbsr_qa.interface.rows import RowOptions, Rows, rows_recording
 from cbsr_qa.interface.scenes import Scene
 
 if TYPE_CHECKING:
@@ -41,6 +44,10 @@ class Analysis(Result[Analysed]):
 def analyse(
     source: "str | Path | Scene | Frames",
     *,
+    pattern: "Rows | None" = None,
+    differences: bool = False,
+    rest: "Rows | None" = None,
+    complex_part: str | None = None,
     sensor_type: str | Path | None = None,
     time_s: ArrayLike | None = None,
     current_A: float | None = None,
@@ -57,7 +64,13 @@ def analyse(
 
     Parameters
     ----------
-    source : file (text or path), a simulated scene, a dataset of frames, or an array (n, drives, measures) [V].
+    source : file (text or path), a simulated scene, a dataset of frames, or an array (n, drives, measures) [V]. With
+        a pattern: a table (path), or an array (n, columns) in any unit.
+    pattern : electrode pairs of the columns, whose rows are frames: a table ``source,sink,plus,minus`` (path), or an
+        array (columns, 4), electrodes from 0.
+    differences : whether the readings are changes from the unloaded sheet.
+    rest : rows of the unloaded sheet, like ``source``. Without them it is looked for in ``source``.
+    complex_part : ``"real"``, ``"magnitude"`` or ``"in-phase"`` of complex readings, which are refused without it.
     sensor_type : file or shipped name; without it, lengths are in units of the radius.
     time_s, current_A : of an array; without times its frames count as one a second.
     format, dataset, reference, memory_correction : of a file; see ``cbsr-qa analyse``. ``reference`` may be a file
@@ -70,6 +83,10 @@ def analyse(
     CbsrError
         If the recording is refused, or a name is unknown.
     """
+    if pattern is None and (differences or rest is not None or complex_part is not None):
+        raise RefusedError(
+            "differences, rest and complex_part are of rows of readings", remedy="give the pattern of the columns"
+        )
     if isinstance(reference, str | Path):
         reference = (reference, "")
     request = AnalyseRequest(
@@ -83,13 +100,35 @@ def analyse(
         options=options,
     )
     tell = progress or quiet
-    if isinstance(source, str | Path):
+    if pattern is not None:
+        analysed = _analyse_rows(source, RowOptions(pattern, differences, rest, complex_part), request, time_s, tell)
+    elif isinstance(source, str | Path):
         analysed = analyse_file(Path(source), request, tell=tell)
         if analysed.error is not None:
             raise analysed.error
     else:
         analysed = analyse_frames(_recording(source, time_s, current_A), request, tell=tell)
     return Analysis(analyse_outcome(analysed, imaged=reconstruction is not None or bool(options)))
+
+
+def _analyse_rows(
+    source: "Scene | Rows", options: RowOptions, request: AnalyseRequest, time_s: ArrayLike | None, tell: Progress
+) -> Analysed:
+    if isinstance(source, Scene):
+        raise RefusedError("a scene states its pattern", remedy="leave pattern out")
+    if request.sensor_type is None:
+        raise RefusedError("a pattern without a sensor type", remedy='give one, e.g. sensor_type="disc-100mm"')
+    if isinstance(source, str | Path) and isinstance(options.pattern, str | Path) and time_s is None:
+        rest = None if options.rest is None else Path(str(options.rest))
+        form = TableForm(Path(options.pattern), options.differences, rest, options.part)
+        analysed = analyse_file(Path(source), replace(request, table=form), tell=tell)
+        if analysed.error is not None:
+            raise analysed.error
+        return analysed
+    recording, sensor_type = rows_recording(
+        source, options, load_sensor_type(request.sensor_type).value, time_s=time_s
+    )
+    return analyse_frames(recording, request, sensor_type, tell=tell)
 
 
 def _recording(source: "Scene | Frames", time_s: ArrayLike | None, current_A: float | None) -> Recording:

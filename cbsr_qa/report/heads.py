@@ -132,6 +132,8 @@ def _describe_strongest(result: RecordingResult) -> str:
         return result.events_why
     strongest = max(result.events, key=lambda event: event.snr)
     sense = "conducts more" if strongest.sign > 0 else "conducts less"
-    time_words = "" if result.frame_rate_hz is None else f" at {strongest.peak_s:.1f} s"
+    time_words = f" at {strongest.peak_s:.1f} s"
+    if result.frame_rate_hz is None:
+        time_words = f" in row {round(strongest.peak_s) + 1}" if result.recording.rows else ""
     moves = "" if strongest.motion is None else f"; it moves: {strongest.motion.words}"
     return f"the clearest{time_words} near {strongest.place}: the place {sense}, SNR {strongest.snr:.3g}{moves}"

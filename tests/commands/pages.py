@@ -15,6 +15,7 @@ TYPED = {
     "README.md": "commands/test_documentation.py",
     "docs/how-to/back-up-a-station.md": "commands/test_keeping_pages.py",
     "docs/how-to/bring-up-a-station.md": "commands/test_documentation.py",
+    "docs/how-to/bring-your-own-data.md": "commands/test_documentation.py",
     "docs/how-to/build-this-bench.md": "commands/test_documentation.py",
     "docs/how-to/calibrate-from-presses.md": "commands/test_documentation.py",
     "docs/how-to/central-database.md": "commands/test_synchronisation_commands.py",

@@ -72,6 +72,24 @@ def test_the_page_on_ones_own_sensor_runs_as_printed(tmp_path, monkeypatch):
 
 
 @pytest.mark.rest
+def test_the_page_on_ones_own_data_runs_as_printed(tmp_path, monkeypatch):
+    """With the tables of the page that it names."""
+    tables = HOW_TO / "calibrate-from-presses.md"
+    write_files(tables, tmp_path)
+    monkeypatch.chdir(tmp_path)
+    exec(blocks(tables, "python")[0], {})
+    page = HOW_TO / "bring-your-own-data.md"
+    imaged, calibrated = [typed(tmp_path, command).stdout for command in commands(page)]
+    assert "100 events found" in imaged
+    assert "100 used, 0 left out" in calibrated
+    namespace = {}
+    (notebook,) = blocks(page, "python")
+    exec(notebook, namespace)
+    assert namespace["images"].values.shape[0] == len(namespace["events"]) == 100
+    assert (tmp_path / "images.html").exists()
+
+
+@pytest.mark.rest
 def test_the_page_on_scenes_runs_as_printed(tmp_path):
     page = HOW_TO / "simulate-a-scene.md"
     assert len(write_files(page, tmp_path)) == 1
@@ -225,6 +243,7 @@ _RUN_ABOVE |= {
     "sign-calibrations.md",
     "stream-forces.md",
     "calibration-file.md",
+    "bring-your-own-data.md",
     "calibrate-from-presses.md",
     "take-your-data-elsewhere.md",
     "first-sensor-in-a-notebook.md",

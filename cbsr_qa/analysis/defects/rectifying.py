@@ -6,6 +6,9 @@ from cbsr_qa.calibration.presses.answering import AnsweringSide, compare_sides
 from cbsr_qa.domain.numbers import Array
 
 _LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
+_LEAST_SPREAD = (
+    0.02  #: readings of one side that the model spreads by less, of their size, tell nothing by their spread
+)
 
 
 def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
@@ -13,7 +16,7 @@ def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
 
     Returns
     -------
-    The side that answers; None if one polarity has too few of the readings to tell.
+    The side that answers; None if one polarity has too few of the readings, or they are too alike, to tell.
     """
     positive_mask = modelled > 0
     if not _LEAST_SIDE <= positive_mask.mean() <= 1 - _LEAST_SIDE:
@@ -21,5 +24,7 @@ def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
     about = levels.astype(np.float64)
     for side in (positive_mask, ~positive_mask):
         usual = np.median(np.abs(modelled[side] - np.median(modelled[side])))
+        if usual < _LEAST_SPREAD * np.median(np.abs(modelled[side])):
+            return None
         about[side] = (about[side] - np.median(about[side])) / usual
     return compare_sides(np.abs(about), positive_mask)

@@ -85,7 +85,8 @@ def analyse_recording(
         recording=recording,
         frame_rate_hz=rate_hz,
         channels=replace(
-            channel_report(ready), suspect_electrodes=(*ready.open_electrodes, *searched.suspect_electrodes)
+            channel_report(recording, ready),
+            suspect_electrodes=(*ready.open_electrodes, *searched.suspect_electrodes),
         ),
         noise=noise,
         events=imaged.events,
@@ -130,7 +131,7 @@ def _search_loads(
         scene = RecordedScene.from_recording(recording, ready, sensor_type, named=choices.sensor_type is not None)
     except NumericsError as error:
         return Searched((), f"no image can be made: {error.reason}")
-    if recording.reference is not None:
+    if recording.reference is not None or recording.differences:
         return scene.objects(rate_hz)
     return scene.presses(rate_hz)
 
@@ -141,7 +142,7 @@ def _why_no_signal(recording: Recording, ready: ReadyReadings) -> str:
         return "no signal: all readings are equal; nothing is connected"
     if ready.faults.all_saturated:
         return _saturation(recording)
-    if ready.faults.frozen and recording.reference is None and not recording.still:
+    if ready.faults.frozen and not (recording.reference or recording.differences or recording.still):
         return f"all {len(ready.block)} frames are identical: the board (or the file) repeats one frame"
     return ""
 
@@ -155,12 +156,16 @@ def _why_no_image(recording: Recording, ready: ReadyReadings) -> str:
             f"no usable image: the readings are not reciprocal (error {ready.error:.2f}; a passive sheet gives 0,"
             f" unrelated numbers 1.41, the limit is {RECIPROCITY_LIMIT:g})"
         )
-    if recording.reference is None and len(ready.block) == 1:
+    if recording.reference is not None or recording.differences:
+        return ""
+    if len(ready.block) == 1:
         raise RecordingError(
             f"{recording.path.name} is a single image without a reference",
-            remedy="name the recording of the empty tank with --reference FILE[:NAME]",
+            remedy="give frames of the unloaded sheet with --rest FILE"
+            if recording.rows
+            else "name the recording of the empty tank with --reference FILE[:NAME]",
         )
-    if recording.reference is None and len(ready.block) < FEWEST_FRAMES:
+    if len(ready.block) < FEWEST_FRAMES:
         return (
             f"{len(ready.block)} frames are too few to tell a press from noise; at least {FEWEST_FRAMES} are needed"
         )

@@ -178,7 +178,7 @@ def image_events(
     NumericsError, PluginError
         If the reconstruction cannot image them; the message names it and the event.
     """
-    sheet, offset = scene.sheet, scene.ready.offset
+    sheet, offset = scene.sheet, scene.ready.offset or scene.recording.differences
     images = prepare_for_events(reconstruction, chosen.name, sheet, scene.model, sightings, offset=offset)
     slow = not isinstance(images.prepared, LinearReconstruction)
     imaged_events: list[LoadEvent] = []
@@ -250,8 +250,8 @@ def _limits(name: str, *, alone: bool, unknown: bool) -> list[str]:
         remarks.append(f"{name} needs consecutive frames; this recording has none, so each event is imaged alone")
     if unknown:
         remarks.append(
-            f"{name} starts from the nominal sheet: readings are counts with an unknown offset, so those of"
-            " the unloaded sensor itself are not known"
+            f"{name} starts from the nominal sheet: readings are counts with an unknown offset, or changes,"
+            " so those of the unloaded sensor itself are not known"
         )
     return remarks
 

@@ -165,6 +165,17 @@ def unit_model(reference: Array, problem: ImagingProblem, *, offset: bool) -> Un
     return UnitModel(reference, np.full_like(reference, 1 / slope), np.ones_like(reference))
 
 
+#: Largest change of a table of changes, as a share of the largest reading of the model: their true scale is unknown.
+_ASSUMED_CHANGE = 0.1
+
+
+def difference_model(changes: Array, problem: ImagingProblem) -> UnitModel:
+    """Bring changes (n, m) of unknown scale to that of the unit model, by the largest of them."""
+    largest = float(np.abs(changes).max(initial=0.0))
+    scale = _ASSUMED_CHANGE * float(np.abs(problem.reference).max()) / largest if largest else 1.0
+    return UnitModel(np.zeros(changes.shape[1]), np.full(changes.shape[1], scale), problem.reference)
+
+
 def plain_model(reference: Array, problem: ImagingProblem) -> UnitModel | None:
     """Fit a recording without an offset to the unit model with one scale for all channels.
 

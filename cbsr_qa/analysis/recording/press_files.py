@@ -1,6 +1,6 @@
 """Files of labelled presses: readings in a table (row per press) or a recording (frame per press), and labels."""
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -64,6 +64,8 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
     labelled = LabelledPresses(loaded_type.value, sized, _readings(files, loaded_type.value), presses)
     if files.row_shift:
         labelled = shift_rows(labelled, files.row_shift)
+    if labelled.presses.time_s is None and labelled.readings.time_s is not None:
+        labelled = replace(labelled, presses=replace(labelled.presses, time_s=labelled.readings.time_s))
     named_paths = {"readings": files.readings, "presses": files.presses, "pattern": files.pattern}
     named_paths |= {"rest": files.rest, "sensor type": loaded_type.document.path}
     return labelled, tuple(source_file(role, path) for role, path in named_paths.items() if path is not None)

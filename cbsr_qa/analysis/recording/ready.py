@@ -99,10 +99,10 @@ def _list_channels(channels: Mask) -> str:
     )
 
 
-def _usable(recording: Recording, pattern: DrivePattern | None) -> Mask:
+def _usable(recording: Recording, pattern: DrivePattern | None, missing: Mask) -> Mask:
     shape = recording.frames.voltages.shape[1:]
     if pattern is not None and recording.scan is ScanKind.FULL and pattern.shape == shape:
-        return pattern.usable()
+        return pattern.imaged(~missing) if recording.rows else pattern.usable()
     if recording.scan is ScanKind.DRIVEN_PAIRS or shape[0] != shape[1]:
         return np.ones(shape, dtype=bool)
     return adjacent_pattern(shape[0]).usable()
@@ -124,23 +124,23 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)
-    used_mask = _usable(recording, pattern) & ~faults.bad
+    used_mask = _usable(recording, pattern, faults.missing) & ~faults.bad
     opened: tuple[int, ...] = ()
-    if recording.scan is ScanKind.FULL and used_mask.any():
+    if recording.scan is ScanKind.FULL and used_mask.any() and not recording.differences:
         full_pattern = pattern or adjacent_pattern(used_mask.shape[0])
         opened = _find_open_electrodes(block.voltages, used_mask, full_pattern)
         used_mask &= ~full_pattern.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
     is_scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
-    is_scanned &= bool(used_mask.any())
+    is_scanned &= bool(used_mask.any()) and not recording.differences
     is_mended = is_scanned and recording.reference is None
     offset = has_offset(recording)
     voltages, offsets = block.voltages, tuple[tuple[int, float], ...]()
     if is_mended and len(block) > 1:
         offsets = find_offsets(voltages[:, used_mask], channel_noise(voltages[:, used_mask], counts=offset))
         voltages = subtract_offsets(voltages, offsets)
-    if is_scanned:
+    if is_scanned and not recording.rows:
         # One absurd reading must not decide the correction of the whole frame.
         calm = remove_spikes(voltages, used_mask, counts=offset)[0] if is_mended else voltages
         carry_over = estimate_carry_over(replace(block, voltages=calm), used_mask)
@@ -162,7 +162,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     mean = voltages.mean(axis=0)
     error = (
         reciprocity_error(mean, used_mask, offset_of(mean, used_mask, counts=offset))
-        if imaged and used_mask.any()
+        if imaged and used_mask.any() and not recording.differences
         else None
     )
     return ReadyReadings(
@@ -192,15 +192,15 @@ def _find_open_electrodes(voltages: Array, used: Mask, pattern: DrivePattern) ->
     return most_electrodes
 
 
-def channel_report(ready: ReadyReadings) -> ChannelReport:
-    """Report the state of the channels."""
+def channel_report(recording: Recording, ready: ReadyReadings) -> ChannelReport:
+    """Report the state of the channels of a recording."""
     carry_over = ready.carry_over
     return ChannelReport(
         saturated=_pairs(ready.faults.saturated),
         stuck=_pairs(ready.faults.stuck),
         not_connected=ready.faults.not_connected,
         used=int(ready.used.sum()) if ready.used.shape[0] > 1 else 0,
-        snr_db=_snr_db(ready),
+        snr_db=None if recording.differences else _snr_db(ready),
         reciprocity_error=carry_over.error if carry_over is not None else ready.error,
         reading_memory=carry_over.share if carry_over is not None else None,
         reciprocity_error_corrected=carry_over.error_corrected if carry_over is not None else None,

@@ -7,7 +7,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects.contacts import Suspect, suspects_of
-from cbsr_qa.analysis.defects.noise import channel_noise
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
 from cbsr_qa.analysis.defects.rectifying import answering_levels
 from cbsr_qa.analysis.recording.changes import nearest_step
 from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, find_initial_loads, search
@@ -15,15 +15,16 @@ from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_f
 from cbsr_qa.analysis.recording.imaging import (
     Sheet,
     UnitModel,
+    difference_model,
     plain_model,
     problem_for,
     sheet_for,
     unit_model,
     usable_volts,
 )
-from cbsr_qa.analysis.recording.places import Matcher, Place, fit_loads, matcher, robust_directions
+from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_loads, matcher, robust_directions
 from cbsr_qa.analysis.recording.ready import ReadyReadings
-from cbsr_qa.analysis.recording.tank import Object, find_moving, find_still, fit_tank, reciprocal_noise
+from cbsr_qa.analysis.recording.tank import Object, find_in_rows, find_moving, find_still, fit_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
 from cbsr_qa.domain.goodness import Goodness
 from cbsr_qa.domain.numbers import Array
@@ -38,6 +39,7 @@ _MAX_SUSPECT_CONTACTS = 4  #: maximum number of repeated searches without a susp
 _SAME_CHANGE_S = 1.0  #: changes this close in time are one
 _FIRST_BALL = 0.1  #: initial radius of a ball in a tank, of the tank's
 _BALL_ROUNDS = 3  #: iterations over places and sizes of balls
+_PER_LOAD = 3  #: numbers that are fitted for a load: its place and size
 _LEAST_LEFT = 0.5  #: searches are repeated only while this share of the readings remains
 
 
@@ -93,6 +95,10 @@ class RecordedScene:
         named : whether a user named the sensor type.
         """
         block, used_mask = ready.block, ready.used
+        if recording.differences:
+            sheet = sheet_for(sensor_type, used_mask)
+            readings = block.voltages[:, used_mask]
+            return cls(recording, ready, sheet, difference_model(readings, sheet.problem), readings, named)
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
         modelled = problem_for(sensor_type, used_mask).reference
         side = None if recording.magnitudes_only else answering_levels(frame[used_mask], modelled)
@@ -122,12 +128,18 @@ class RecordedScene:
     def objects(self, rate_hz: float | None) -> Searched:
         """Search relative to the reference."""
         changes = self.model.changes(self.readings)
-        sigma = reciprocal_noise(changes, self.sheet.problem.used)
-        if sigma == 0:
+        if not changes.any():
             return Searched((), "the frames equal the reference: nothing has changed")
-        if len(changes) > 1:
-            objects, reason = find_moving(*self._match_changes(self.sheet, changes, sigma))
+        problem = self.sheet.problem
+        sigma: float | Array = reciprocal_noise(changes, problem.used, problem.sensor_type.pattern)
+        if not sigma or (self.recording.rows and len(changes) >= FEWEST_FRAMES):
+            sigma = self._unexplained_noise(changes)
+        if self.recording.rows and self.recording.still:
+            objects, reason = find_in_rows(*self._match_changes(self.sheet, changes, sigma))
             remarks: tuple[str, ...] = ()
+        elif len(changes) > 1:
+            objects, reason = find_moving(*self._match_changes(self.sheet, changes, sigma))
+            remarks = ()
         else:
             objects, reason, remarks = self._still(changes, sigma)
             objects = self._correct_directions(objects)
@@ -136,11 +148,24 @@ class RecordedScene:
         )
         return Searched(sightings, reason, (*self.remarks, *remarks), scene=self)
 
-    def _match_changes(self, sheet: Sheet, changes: Array, sigma: float) -> tuple[Array, Matcher]:
-        match = matcher(sheet.patterns, sheet.places, np.full(changes.shape[1], sigma), self.model.nuisance)
+    def _unexplained_noise(self, changes: Array) -> Array:
+        """Noise of each reading (m,): what the best loads leave of all frames; of few frames one noise for all."""
+        white, match = self._match_changes(self.sheet, changes, 1.0)
+        left = np.empty_like(white)
+        for row, change in enumerate(white):
+            places, _ = find_places(change, match)
+            freedom = max(len(change) - 1 - _PER_LOAD * len(places), 1)
+            left[row] = (change - fit_loads(change, match, places)) * np.sqrt(len(change) / freedom)
+        if len(changes) < FEWEST_FRAMES:
+            return np.full(changes.shape[1], np.median(np.sqrt(np.mean(left**2, axis=1))))
+        sigma: Array = MAD_TO_SIGMA * np.median(np.abs(left), axis=0)
+        return np.maximum(sigma, 0.5 * float(np.median(sigma)))
+
+    def _match_changes(self, sheet: Sheet, changes: Array, sigma: float | Array) -> tuple[Array, Matcher]:
+        match = matcher(sheet.patterns, sheet.places, np.broadcast_to(sigma, changes.shape[1]), self.model.nuisance)
         return match.whiten(changes), match
 
-    def _still(self, changes: Array, sigma: float) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
+    def _still(self, changes: Array, sigma: float | Array) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
         """Search a still image; in a tank, with the patterns of balls as large as those found."""
         white, match = self._match_changes(self.sheet, changes, sigma)
         objects, reason = find_still(white[0], match)

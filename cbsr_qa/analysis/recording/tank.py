@@ -26,6 +26,7 @@ _DETECTED = 6.0  #: product of pattern and change, over the noise, from which an
 _EXPLAINED = 0.25  #: and the share of the change it must explain
 _EXPLAINED_MOVING = 0.15  #: the same while an object is tracked: frames support each other
 _BRIDGED_FRAMES = 2  #: frames without the object that do not end its track
+_JUMP = 0.4  #: of the radius: a place that far from that of the frame before is of another object
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -50,7 +51,7 @@ class Object:
     goodness: Goodness
 
 
-def reciprocal_noise(changes: Array, used: Mask) -> float:
+def reciprocal_noise(changes: Array, used: Mask, pattern: DrivePattern) -> float:
     """Noise of one reading, from the reciprocity error of changes in a passive tank.
 
     Parameters
@@ -59,14 +60,15 @@ def reciprocal_noise(changes: Array, used: Mask) -> float:
 
     Returns
     -------
-    Rms over pairs of (y_ij − y_ji)/√2, in the changes' unit; 0 without reciprocal pairs.
+    Rms over pairs of (y_ij ∓ y_ji)/√2, in the changes' unit; 0 without reciprocal pairs.
     """
-    matrices = np.zeros((len(changes), *used.shape))
-    matrices[:, used] = changes
-    both_mask = used & used.T
-    if not both_mask.any():
+    pairs, sign = pattern.reciprocal_pairs()
+    both_used = used.ravel()[pairs].all(axis=1)
+    if not both_used.any():
         return 0.0
-    return float(np.sqrt(np.mean((matrices - matrices.swapaxes(1, 2))[:, both_mask] ** 2) / 2))
+    column = np.cumsum(used.ravel()) - 1
+    first, second = column[pairs[both_used]].T
+    return float(np.sqrt(np.mean((changes[:, first] - sign[both_used] * changes[:, second]) ** 2) / 2))
 
 
 def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -84,13 +86,24 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
     if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
         score = abs(places[0].score) if places else 0.0
         return (), (
-            f"nothing stands out from the reciprocity error: the best place scores {score:.1f}"
+            f"nothing stands out of the noise: the best place scores {score:.1f}"
             f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
             f" (at least {_EXPLAINED:.0%})"
         )
     detected = [place for place in places if abs(place.score) >= _DETECTED]
     goodness = Goodness.from_fit(change, fit_loads(change, match, places), match.sigma, 1.0)
     return tuple(Object(0, 0, 0, place, abs(place.score), ((0, place),), goodness) for place in detected), ""
+
+
+def find_in_rows(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
+    """Find the objects in frames (n, m), whitened, each for itself; or why none was found in any."""
+    objects: list[Object] = []
+    reasons = []
+    for row, change in enumerate(changes):
+        in_row, reason = find_still(change, match)
+        objects += [replace(seen, first=row, last=row, peak=row, track=((row, seen.place),)) for seen in in_row]
+        reasons.append(reason)
+    return tuple(objects), "" if objects else f"no row shows a load; in the first, {reasons[0]}"
 
 
 def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
@@ -119,7 +132,8 @@ def find_moving(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], str
         )
     stretches: list[list[tuple[int, Place]]] = [[detections[0]]]
     for before, after in pairwise(detections):
-        if after[0] - before[0] > _BRIDGED_FRAMES + 1:
+        moved = np.hypot(after[1].x - before[1].x, after[1].y - before[1].y)
+        if after[0] - before[0] > _BRIDGED_FRAMES + 1 or moved > _JUMP:
             stretches.append([])
         stretches[-1].append(after)
     objects = []

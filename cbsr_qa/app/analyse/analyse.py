@@ -11,11 +11,20 @@ import numpy as np
 
 from cbsr_qa.analysis.recording.analysis import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.reading import find_format, run_guarded
+from cbsr_qa.analysis.recording.table_files import TableForm, read_table_recording
 from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
 from cbsr_qa.config.documents import DocumentKind, list_shipped
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.config.paths import reports_folder
-from cbsr_qa.domain.errors import CbsrError, ConfigError, NumericsError, PluginError, RecordingError, RowProblem
+from cbsr_qa.domain.errors import (
+    CbsrError,
+    ConfigError,
+    NumericsError,
+    PluginError,
+    RecordingError,
+    RefusedError,
+    RowProblem,
+)
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.plan import PluginChoice
 from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, Recording, ScanKind
@@ -146,6 +155,7 @@ class AnalyseRequest:
     correct_carry_over : None to decide by the estimate.
     report : whether to write a report.
     reconstruction, options : plugin that images the events (None for the usual one), and its options.
+    table : how a table of frames is read; None if the file is a recording.
     """
 
     format: str | None = None
@@ -156,6 +166,7 @@ class AnalyseRequest:
     report: bool = True
     reconstruction: str | None = None
     options: Mapping[str, Any] = field(default_factory=dict)
+    table: TableForm | None = None
 
     @property
     def chosen(self) -> PluginChoice:
@@ -172,13 +183,17 @@ def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda sai
     try:
         reconstruction = _reconstruction(request, plugins)
         tell(f"reading {path.name}")
+        if request.table is not None:
+            recording, sensor_type = _read_table(path, request, request.table)
+            tell(f"analysing {len(recording.frames)} frames")
+            return _build_outcome(path, recording, sensor_type, reconstruction, request, plugins, (), tell)
         format_, name = find_format(path, request.format, plugins)
         datasets = run_guarded(path, name, partial(format_.datasets, path))
         recording = _read(path, format_, name, ReadOptions(request.dataset, request.reference))
         if request.reference is not None:
             recording = with_reference(recording, _empty(*request.reference, path, format_, name, plugins))
         tell(f"analysing {len(recording.frames)} frames")
-        return _build_outcome(path, recording, reconstruction, request, plugins, datasets, tell)
+        return _build_outcome(path, recording, None, reconstruction, request, plugins, datasets, tell)
     except CbsrError as error:
         problems = error.problems if isinstance(error, RecordingError) else ()
         read_recording = (
@@ -222,13 +237,14 @@ def _empty(
 def _build_outcome(
     path: Path,
     recording: Recording,
+    table_type: SensorType | None,
     reconstruction: Reconstruction,
     request: AnalyseRequest,
     plugins: Plugins,
     datasets: tuple[str, ...],
     tell: Tell,
 ) -> Analysed:
-    result, unknown = _result(recording, reconstruction, request, tell)
+    result, unknown = _result(recording, table_type, reconstruction, request, tell)
     analysed = replace(Analysed.from_result(path, result), datasets=datasets or None)
     if (error := _missing_signal_error(path, result)) is not None:
         return analysed.with_refusal(error)
@@ -236,8 +252,35 @@ def _build_outcome(
     return replace(analysed, report=report, warnings=(*result.warnings, *unknown, *missing))
 
 
-def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
+def _read_table(path: Path, request: AnalyseRequest, form: TableForm) -> tuple[Recording, SensorType]:
+    """Read a table of frames in the pattern that it brings. RefusedError if options are missing or of recordings."""
+    for name, given in (
+        ("--format", request.format),
+        ("--dataset", request.dataset),
+        ("--reference", request.reference),
+    ):
+        if given is not None:
+            remedy = (
+                "give frames of the unloaded sheet with --rest FILE" if name == "--reference" else f"leave {name} out"
+            )
+            raise RefusedError(f"{name} is for recordings; {path.name} is a table with --pattern", remedy=remedy)
+    if request.sensor_type is None:
+        raise RefusedError("--pattern without --sensor-type", remedy="name a sensor type, or its file")
+    return read_table_recording(path, form, load_sensor_type(request.sensor_type).value)
+
+
+def analyse_frames(
+    recording: Recording,
+    request: AnalyseRequest,
+    sensor_type: SensorType | None = None,
+    *,
+    tell: Tell = lambda said: None,
+) -> Analysed:
     """Analyse frames in memory as :func:`analyse_file` does those of a file; no report is written.
+
+    Parameters
+    ----------
+    sensor_type : with the pattern of the frames, of a table; by default that of the request or the recording.
 
     Raises
     ------
@@ -247,19 +290,23 @@ def analyse_frames(recording: Recording, request: AnalyseRequest, *, tell: Tell 
         For the same reasons as the analysis of a file.
     """
     reconstruction = _reconstruction(request, discover())
-    _check_shape(recording, _sensor_type(recording, request)[0])
+    _check_shape(recording, sensor_type or _sensor_type(recording, request)[0])
     tell(f"analysing {len(recording.frames)} frames")
-    result, unknown = _result(recording, reconstruction, request, tell)
+    result, unknown = _result(recording, sensor_type, reconstruction, request, tell)
     if (error := _missing_signal_error(recording.path, result)) is not None:
         raise error
     return replace(Analysed.from_result(recording.path, result), warnings=(*result.warnings, *unknown))
 
 
 def _result(
-    recording: Recording, reconstruction: Reconstruction, request: AnalyseRequest, tell: Tell
+    recording: Recording,
+    table_type: SensorType | None,
+    reconstruction: Reconstruction,
+    request: AnalyseRequest,
+    tell: Tell,
 ) -> tuple[RecordingResult, list[str]]:
-    """Analyse a recording; returns remarks on its sensor type too."""
-    sensor_type, unknown = _sensor_type(recording, request)
+    """Analyse a recording; returns remarks on its sensor type too, if that is not of a table."""
+    sensor_type, unknown = _sensor_type(recording, request) if table_type is None else (table_type, [])
     choices = AnalysisChoices(request.correct_carry_over, sensor_type, request.chosen)
     return analyse_recording(recording, reconstruction, choices, tell=tell), unknown
 
@@ -320,12 +367,17 @@ def _report(
 def _request_digest(path: Path, request: AnalyseRequest) -> str:
     """Return eight digits of content and request, so that reports do not overwrite each other."""
     sha = hashlib.sha256()
-    for each in (path, *(() if request.reference is None else request.reference[:1])):
+    table = request.table
+    others = [] if request.reference is None else [request.reference[0]]
+    others += [] if table is None else [each for each in (table.pattern, table.rest) if each is not None]
+    for each in (path, *others):
         with open_foreign(each) as file:
             sha.update(hashlib.file_digest(file, "sha256").digest())
     dataset = None if request.reference is None else request.reference[1]
     settings: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
     if request.reconstruction is not None or request.options:
         settings = (*settings, request.chosen.name, sorted(request.options.items()))
+    if table is not None:
+        settings = (*settings, table.differences, table.rest is None, table.complex_part)
     sha.update(repr(settings).encode())
     return sha.hexdigest()[:8]

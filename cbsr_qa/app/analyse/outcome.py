@@ -298,15 +298,32 @@ def analyse_outcome(analysed: Analysed, *, imaged: bool) -> CommandOutcome[Analy
 
 def _events(result: RecordingResult, *, imaged: bool) -> Iterator[Block]:
     timed, in_mm = result.frame_rate_hz is not None, any(event.x_mm is not None for event in result.events)
-    columns = ["event", *(["from [s]", "to [s]"] * timed), "place", *(["x [mm]", "y [mm]"] * in_mm), "change", "SNR"]
+    in_rows = result.recording.rows and not timed
+    columns = [
+        "event",
+        *(["from [s]", "to [s]"] * timed),
+        *(["row"] * in_rows),
+        "place",
+        *(["x [mm]", "y [mm]"] * in_mm),
+        "change",
+        "SNR",
+    ]
     rows = []
     for number, event in enumerate(result.events, start=1):
         times = [format_fixed(event.start_s, 1), format_fixed(event.end_s, 1)] * timed
         mm = ["–" if length is None else format_fixed(length, 1) for length in (event.x_mm, event.y_mm)] * in_mm
-        row = [f"E{number}", *times, event.place, *mm, "conducts more" if event.sign > 0 else "conducts less"]
+        in_row = [f"{round(event.peak_s) + 1}"] * in_rows
+        row = [
+            f"E{number}",
+            *times,
+            *in_row,
+            event.place,
+            *mm,
+            "conducts more" if event.sign > 0 else "conducts less",
+        ]
         seen = ["not in it" if event.imaged is None else event.imaged.place] * imaged
         rows.append([*row, format_fixed(event.snr, 1), *seen])
-    numeric = [place for place, column in enumerate(columns) if column.endswith("]") or column == "SNR"]
+    numeric = [place for place, column in enumerate(columns) if column.endswith("]") or column in ("SNR", "row")]
     yield text_table("Found in the readings.", [*columns, *(["in its image"] * imaged)], rows, numeric)
     choice = None if result.imaging is None else result.imaging.choice
     if imaged and result.imaging is not None and choice is not None:

@@ -8,7 +8,7 @@ import numpy as np
 from scipy.special import fdtrc
 
 from cbsr_qa.calibration.place.pairs import DistinctPairs
-from cbsr_qa.calibration.presses.number_tables import read_table
+from cbsr_qa.calibration.presses.frame_tables import check_same_unit, read_frame_table
 from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
@@ -41,6 +41,7 @@ class PressReadings:
     changes : (n, m) changes by each press.
     rest : (m,) reference of frames; None if the table has changes.
     noise : (m,) standard deviation of one frame; None with fewer than two frames at rest.
+    time_s : (n,) times of the presses [s]; None if the table has none.
     """
 
     path: Path
@@ -48,6 +49,11 @@ class PressReadings:
     changes: Array
     rest: Array | None = None
     noise: Array | None = None
+    time_s: Array | None = None
+
+    def some(self, rows: Indices) -> "PressReadings":
+        """Select presses, in the order of ``rows``."""
+        return replace(self, changes=self.changes[rows], time_s=None if self.time_s is None else self.time_s[rows])
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -66,8 +72,7 @@ class LabelledPresses:
 
     def some(self, rows: Indices) -> "LabelledPresses":
         """Select presses, in the order of ``rows``."""
-        readings = replace(self.readings, changes=self.readings.changes[rows])
-        return replace(self, readings=readings, presses=self.presses.some(rows))
+        return replace(self, readings=self.readings.some(rows), presses=self.presses.some(rows))
 
     def follow_places(self) -> bool:
         """Whether presses were made in order of places, as on a raster, so that drift cannot be separated from place.
@@ -103,16 +108,20 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
     Raises
     ------
     RecordingError
-        If a table cannot be read, a cell is not a finite number, or the columns are not those of the pairs.
+        As of :func:`~cbsr_qa.calibration.presses.frame_tables.read_frame_table`, and
+        :func:`~cbsr_qa.calibration.presses.frame_tables.check_same_unit`.
     """
     distinct = DistinctPairs.from_pairs(pairs)
-    readings = _columns(path, len(pairs)) @ distinct.merging
+    table = read_frame_table(path, len(pairs))
+    readings = table.readings @ distinct.merging
     if rest is None:
-        return PressReadings(path, distinct, readings)
-    frames = _columns(rest, len(pairs)) @ distinct.merging
+        return PressReadings(path, distinct, readings, time_s=table.time_s)
+    rest_table = read_frame_table(rest, len(pairs))
+    check_same_unit(table, rest_table)
+    frames = rest_table.readings @ distinct.merging
     mean = frames.mean(axis=0)
     noise = frames.std(axis=0, ddof=1) if len(frames) > 1 else None
-    return PressReadings(path, distinct, readings - mean, mean, noise)
+    return PressReadings(path, distinct, readings - mean, mean, noise, table.time_s)
 
 
 def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:
@@ -128,8 +137,7 @@ def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:
             remedy="give a shift by a few rows",
         )
     rows = np.arange(max(0, -shift), count - max(0, shift))
-    readings = replace(labelled.readings, changes=labelled.readings.changes[rows])
-    return replace(labelled, readings=readings, presses=labelled.presses.some(rows + shift))
+    return replace(labelled, readings=labelled.readings.some(rows), presses=labelled.presses.some(rows + shift))
 
 
 def check_rows(readings: PressReadings, presses: PressTable) -> None:
@@ -215,16 +223,6 @@ def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> Non
         f" radius: {row_list}",
         remedy="correct the places, or the radius in the sensor type",
     )
-
-
-def _columns(path: Path, count: int) -> Array:
-    table = read_table(path)
-    if len(table.columns) != count:
-        raise RecordingError(
-            f"{path} has {len(table.columns)} columns, the pattern has {count} rows",
-            remedy="give one row of the pattern for each column of the readings, in the same order",
-        )
-    return table.numbers()
 
 
 def _find_repeated(rows: Array) -> Iterator[tuple[int, int]]:

@@ -3,6 +3,7 @@
 Rows are counted from 1 below the header; the first row of a CSV file is its line 2.
 """
 
+import cmath
 import csv
 import io
 import math
@@ -17,6 +18,7 @@ from pathlib import Path
 from typing import Any, BinaryIO, Final
 
 import numpy as np
+from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.numbers import Array
@@ -33,6 +35,7 @@ _MAX_LINE_LENGTH: Final = 32 * _MAX_COLUMNS
 _MAX_NUMBER: Final = 1e12
 _CORRECT: Final = "correct the table and try again; row 1 is the first below the header"
 _TOO_MUCH: Final = "give a table with a row per press and a column per reading"
+_REAL: Final = "write real numbers; cbsr-qa analyse reads complex ones with --complex-part"
 #: Number of problems of a table that are listed.
 _MAX_LISTED_CELLS: Final = 10
 _MAX_CELL_LENGTH: Final = 40
@@ -42,8 +45,8 @@ _AT_ONCE: Final = 1024
 _PARQUET: Final = "pyarrow.parquet"
 #: Row and column of a cell, both from 0.
 _Cell = tuple[int, int]
-#: Names of columns, numbers, and the cells that are none.
-_Content = tuple[tuple[str, ...], Array, dict[_Cell, str]]
+#: Names of columns, numbers, the cells that are none, and imaginary parts if there are any.
+_Content = tuple[tuple[str, ...], Array, dict[_Cell, str], Array | None]
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -56,17 +59,41 @@ class NumberTable:
     columns : names of the columns.
     values : (rows, columns) numbers; NaN where a cell is not a finite number.
     odd_cells : content of those cells, as a message shows it: the first ten of each column.
+    imaginary : (rows, columns) imaginary parts; None if no cell is a complex number.
     """
 
     path: Path
     columns: tuple[str, ...]
     values: Array
     odd_cells: Mapping[_Cell, str] = field(default_factory=dict)
+    imaginary: Array | None = None
 
     def numbers(self, names: Sequence[str] | None = None) -> Array:
-        """Return some columns, (rows, columns); by default all. RecordingError names cells that are not numbers."""
+        """Return some columns, (rows, columns); by default all. RecordingError names cells that are not real numbers.
+
+        A cell like 1.2+0.3j is complex, also with an imaginary part of 0.
+        """
         chosen_columns = range(len(self.columns)) if names is None else [self.columns.index(name) for name in names]
-        values: Array = self.values if names is None else self.values[:, chosen_columns]
+        imaginary = np.zeros(0) if self.imaginary is None else self.imaginary[:, chosen_columns]
+        complex_cells = np.argwhere(~np.isnan(imaginary)) if imaginary.size else imaginary
+        if len(complex_cells):
+            row, k = complex_cells[0].tolist()
+            cell = f"{self.values[row, chosen_columns[k]]:g}{imaginary[row, k]:+g}j"
+            others = f"; and {len(complex_cells) - 1} more" if len(complex_cells) > 1 else ""
+            self.refuse(
+                [f"row {row + 1}, column {self.columns[chosen_columns[k]]}: {cell}, a complex number{others}"], _REAL
+            )
+        return self._bounded(chosen_columns, self.values[:, chosen_columns])
+
+    def complex_numbers(self, names: Sequence[str]) -> NDArray[np.complex128]:
+        """Return some columns, (rows, columns), complex; RecordingError names cells that are not numbers."""
+        chosen_columns = [self.columns.index(name) for name in names]
+        values = self._bounded(chosen_columns, self.values[:, chosen_columns])
+        if self.imaginary is None:
+            return values.astype(np.complex128)
+        return values + 1j * self._bounded(chosen_columns, np.nan_to_num(self.imaginary[:, chosen_columns]))
+
+    def _bounded(self, chosen_columns: Sequence[int], values: Array) -> Array:
         unusable = np.argwhere(~(np.abs(values) <= _MAX_NUMBER))
         described = []
         for row, k in unusable[:_MAX_LISTED_CELLS].tolist():
@@ -127,7 +154,8 @@ def _csv(path: Path, file: BinaryIO) -> _Content:
         text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
         lines = [[cell.strip() for cell in line] for line in csv.reader(_short_lines(path, text))]
     except (UnicodeDecodeError, csv.Error) as error:
-        raise RecordingError(f"{path} is not CSV in UTF-8: {error}") from error
+        remedy = "save the table as CSV in UTF-8"
+        raise RecordingError(f"{path} is not CSV in UTF-8: {error}", remedy=remedy) from error
     while lines and not any(lines[-1]):
         del lines[-1]
     lines = [line for line in lines if line not in ([], [""])]
@@ -164,7 +192,7 @@ def _short_lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
 
 def _check_header(path: Path, header: Sequence[str]) -> None:
     for name, sign in (("semicolons", ";"), ("tabs", "\t")):
-        if len(header) == 1 and sign in header[0]:
+        if sum(cell.count(sign) for cell in header) >= len(header):
             raise RecordingError(
                 f"{path} line 1: separated by {name}", remedy="separate by commas, decimals by points"
             )
@@ -234,25 +262,43 @@ class _Numbers:
 
     def __init__(self, columns: int) -> None:
         self._values = array("d")
+        self._imaginary: array[float] | None = None
         self._odd_cells: dict[_Cell, str] = {}
         self._shown = [0] * columns  #: number of odd cells of each column
         self._rows = 0
 
     def add(self, cells: Sequence[object]) -> None:
         values = [_number(cell) for cell in cells]
+        if any(map(math.isnan, values)):
+            values = self._add_odd(cells, values)
+        elif self._imaginary is not None:
+            self._imaginary.extend([math.nan] * len(values))
         self._values.extend(values)
-        for column in (
-            k for k, value in enumerate(values) if math.isnan(value) and self._shown[k] < _MAX_LISTED_CELLS
-        ):
+        self._rows += 1
+
+    def _add_odd(self, cells: Sequence[object], values: list[float]) -> list[float]:
+        """Take cells that are not real numbers; return the real parts of the row."""
+        numbers = [_complex(cell) if math.isnan(value) else value for cell, value in zip(cells, values, strict=True)]
+        imaginary = [number.imag if isinstance(number, complex) else math.nan for number in numbers]
+        if self._imaginary is None and not all(map(math.isnan, imaginary)):
+            self._imaginary = array("d", [math.nan] * len(self._values))
+        if self._imaginary is not None:
+            self._imaginary.extend(imaginary)
+        for column, number in enumerate(numbers):
+            if not cmath.isnan(number) or self._shown[column] >= _MAX_LISTED_CELLS:
+                continue
             self._shown[column] += 1
             cell = cells[column]
             description = "empty" if cell in ("", None) else f"{str(cell)[:_MAX_CELL_LENGTH]!r}, not a finite number"
             self._odd_cells[self._rows, column] = description
-        self._rows += 1
+        return [number.real for number in numbers]
 
     def content(self, columns: Sequence[str]) -> _Content:
-        values = np.frombuffer(self._values, dtype=np.float64).reshape(self._rows, len(columns))
-        return tuple(columns), values, self._odd_cells
+        shape = self._rows, len(columns)
+        values = np.frombuffer(self._values, dtype=np.float64).reshape(shape)
+        imaginary = self._imaginary
+        parts = None if imaginary is None else np.frombuffer(imaginary, dtype=np.float64).reshape(shape)
+        return tuple(columns), values, self._odd_cells, parts
 
 
 def _number(cell: object) -> float:
@@ -262,3 +308,15 @@ def _number(cell: object) -> float:
     except (TypeError, ValueError, OverflowError):
         return math.nan
     return value if math.isfinite(value) else math.nan
+
+
+def _complex(cell: object) -> complex | float:
+    """Return a finite complex number, written with i or j; NaN otherwise."""
+    text = str(cell).replace(" ", "").lower().replace("i)", "j)")
+    if "_" in text or not text.strip("()").endswith(("i", "j")):
+        return math.nan
+    try:
+        value = complex(f"{text[:-1]}j" if text.endswith("i") else text)
+    except ValueError:
+        return math.nan
+    return value if cmath.isfinite(value) else math.nan

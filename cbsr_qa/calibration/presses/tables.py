@@ -23,7 +23,7 @@ _OPTIONAL: Final = ("depth_mm", "force_N", "time_s")
 LABELS: Final = (*_PLACE, *_OPTIONAL)
 _QUANTITIES: Final = {name.rpartition("_")[0]: name for name in LABELS}
 #: Largest share of a pattern's pairs, and of its drives, that measure at driven electrodes by mistake: if more do,
-#: that is its kind. A single drive is few, unless there is no other.
+#: that is its kind. A single drive is few, unless there is no other. The same share of pairs stands twice by mistake.
 _FEW_AT_DRIVEN: Final = 0.1
 #: Most electrodes of a pattern.
 _MOST_ELECTRODES: Final = 256
@@ -104,7 +104,7 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
     ------
     RecordingError
         As for :func:`read_table`; if a column is missing, a cell is not an electrode of the sensor or paired with
-        itself, or a few pairs measure at an electrode that they drive and all others do not.
+        itself; or if a few pairs stand twice, or measure at an electrode that they drive, and all others do not.
     """
     table = read_table(path)
     missing_columns = [name for name in _PAIR_COLUMNS if name not in table.columns]
@@ -115,7 +115,7 @@ def read_pairs(path: Path, electrodes: int | None) -> Indices:
         )
     values = table.numbers(_PAIR_COLUMNS)
     count = _MOST_ELECTRODES if electrodes is None else electrodes
-    table.refuse(list(_pair_problems(values, count)))
+    table.refuse(list(pair_problems(values, count)))
     return values.astype(np.int64)
 
 
@@ -150,9 +150,15 @@ def _header_problems(columns: Sequence[str]) -> Iterator[str]:
     )
 
 
-def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
+def pair_problems(values: Array, electrodes: int) -> Iterator[str]:
+    """Yield what is wrong with numbers (m, 4) as pairs of so many electrodes; rows count from 1."""
     if values.min() == 1 and values.max() == electrodes:
         yield f"electrodes are numbered from 1 to {electrodes}; they are counted from 0"
+        return
+    used = np.unique(values)
+    beyond = (values >= electrodes).any(axis=1)
+    if beyond.mean() > _FEW_AT_DRIVEN and used.size > electrodes and electrodes < _MOST_ELECTRODES:
+        yield f"it has {used.size} electrodes, up to {used[-1]:g}; the sensor type has {electrodes}, counted from 0"
         return
     for row, numbers in enumerate(values.tolist(), 1):
         for name, number in zip(_PAIR_COLUMNS, numbers, strict=True):
@@ -163,6 +169,23 @@ def _pair_problems(values: Array, electrodes: int) -> Iterator[str]:
             yield f"row {row}, column sink: current from electrode {source:g} to itself"
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
+    yield from _repeat_problems(values)
+    yield from _at_driven_problems(values)
+
+
+def _repeat_problems(values: Array) -> Iterator[str]:
+    first_rows: dict[tuple[float, ...], int] = {}
+    repeated = [
+        (row, first)
+        for row, pair in enumerate(map(tuple, values.tolist()), 1)
+        if (first := first_rows.setdefault(pair, row)) != row
+    ]
+    if len(repeated) <= max(_FEW_AT_DRIVEN * len(values), 1):
+        for row, first in repeated:
+            yield f"row {row} repeats row {first}: {','.join(f'{number:g}' for number in values[row - 1])}"
+
+
+def _at_driven_problems(values: Array) -> Iterator[str]:
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
     drives, odd_drives = (len(np.unique(rows[:, :2], axis=0)) for rows in (values, values[at_driven]))
     is_few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)

@@ -28,6 +28,7 @@ class VoltageUnit(StrEnum):
 
     VOLT = "V"
     COUNT = "count"
+    TABLE = "units"  #: those of a table, which does not state any
 
 
 class ReadingFlag(IntFlag):
@@ -224,6 +225,8 @@ class Recording:
     notes : facts for a reader, in words.
     frames_dropped : incomplete frames within the file; those cut by its beginning and end do not count.
     simulated : simulated parts in words; empty for a real rig.
+    rows : True if frames are rows of a table, which does not tell in which order their readings were taken.
+    differences : True if the readings are changes from the unloaded sheet.
     """
 
     path: Path
@@ -243,6 +246,8 @@ class Recording:
     notes: tuple[str, ...] = ()
     frames_dropped: int = 0
     simulated: tuple[str, ...] = ()
+    rows: bool = False
+    differences: bool = False
 
     @property
     def rows_rejected(self) -> int:

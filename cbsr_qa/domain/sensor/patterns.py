@@ -58,6 +58,9 @@ def _dense_rank(functionals: Sequence[Functional]) -> int:
     return int((eigenvalues > _ZERO * eigenvalues[-1]).sum())
 
 
+#: Share of readings that touch no driven electrode below which a pattern reads across the driven ones.
+_FEW_CLEAR: Final = 0.1
+
 Pair = tuple[int, int]
 Pairs = tuple[Pair, ...]
 
@@ -131,6 +134,19 @@ class DrivePattern:
         touched = driven.T.astype(np.float64) @ measured.astype(np.float64)
         usable: NDArray[np.bool_] = touched == 0
         return usable
+
+    def imaged(self, recorded: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """Readings to image from: of those recorded, the ones that touch no driven electrode.
+
+        If these are less than a tenth, the instrument reads across the driven electrodes, as an ohmmeter does between
+        two of them, and all recorded readings are taken. They hold the contacts of these electrodes.
+
+        Parameters
+        ----------
+        recorded : (drive pairs, measure pairs) bool.
+        """
+        clear = self.usable() & recorded
+        return clear if clear.sum() >= _FEW_CLEAR * recorded.sum() else recorded
 
     def touching(self, electrodes: Sequence[int]) -> NDArray[np.bool_]:
         """Readings (drive pairs, measure pairs) bool that drive or measure with some electrodes."""

@@ -109,6 +109,8 @@ def imaging_problem(
     is_usable = sensor_type.pattern.usable()
     used = is_usable if used is None else np.array(used, dtype=np.bool_)
     _check_used(sensor_type.pattern, used)
+    if not (used & is_usable).any():  # readings across driven electrodes are all there is
+        is_usable = used
     full = ImagingProblem(sensor_type, mesh, jacobian[is_usable], reference[is_usable], is_usable)
     if noise_variance is None and sample is None and measured is None and np.array_equal(used, is_usable):
         return full

@@ -12,6 +12,7 @@ from cbsr_qa.plugin import (
     ImagedPlace,
     LoadEvent,
     Paragraph,
+    ReadingFlag,
     RecordingResult,
     ScanKind,
     Table,
@@ -69,6 +70,7 @@ def _format_value(value: float | None, decimals: int, unit: str = "", scale: flo
 def _map(result: RecordingResult) -> Figure:
     recording, channels = result.recording, result.channels
     level = np.median(recording.frames.voltages, axis=0)
+    level[(recording.frames.flags & ReadingFlag.MISSING != 0).all(axis=0)] = np.nan
     one_row = recording.scan is ScanKind.DRIVEN_PAIRS
 
     def place_pairs(pairs: tuple[tuple[int, int], ...]) -> tuple[tuple[int, int], ...]:
@@ -123,7 +125,7 @@ class RecordingEvents(RecordingSection):
             moving: list[Block] = (
                 [Paragraph(f"{'. '.join(motions)}. The table gives where it is clearest.")] if motions else []
             )
-            yield from (_table(result.events, still=result.frame_rate_hz is None), *moving)
+            yield from (_table(result), *moving)
             yield from (_images(result), _imaging(result), _image_table(result.events))
         else:
             yield Paragraph(f"No event: {result.events_why}.", "note")
@@ -139,13 +141,17 @@ def _direction(event: LoadEvent | ImagedPlace) -> str:
     return "centre" if event.central else format_fixed(event.electrode, 2)
 
 
-def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
+def _table(result: RecordingResult) -> Table:
+    events, still = result.events, result.frame_rate_hz is None
+    in_rows = still and result.recording.rows
+    no_time = "" if in_rows else "–"
     beside = any(event.fate for event in events)
     columns = {
         "Event": [_name(rank) for rank in range(len(events))],
-        "Start [s]": ["–" if still else format_fixed(event.start_s, 1) for event in events],
-        "Peak [s]": ["–" if still else format_fixed(event.peak_s, 1) for event in events],
-        "End [s]": ["–" if still else format_fixed(event.end_s, 1) for event in events],
+        "Row": [_format_rows(event) if in_rows else "" for event in events],
+        "Start [s]": [no_time if still else format_fixed(event.start_s, 1) for event in events],
+        "Peak [s]": [no_time if still else format_fixed(event.peak_s, 1) for event in events],
+        "End [s]": [no_time if still else format_fixed(event.end_s, 1) for event in events],
         "Electrode": [_direction(event) for event in events],
         "r/R": [format_fixed(event.r_over_R, 2) for event in events],
         "Conductance": ["rises" if event.sign > 0 else "falls" for event in events],
@@ -166,6 +172,12 @@ def _table(events: Sequence[LoadEvent], *, still: bool) -> Table:
         + (" Overlapping: whether the image shows an event during others as a separate region." if beside else "")
     )
     return text_table(caption, tuple(shown_columns), list(zip(*shown_columns.values(), strict=True)), numeric)
+
+
+def _format_rows(event: LoadEvent) -> str:
+    """Return the rows of a table without times, from 1, as events have them in place of seconds."""
+    first, last = (round(time_s) + 1 for time_s in (event.start_s, event.end_s))
+    return f"{first}" if first == last else f"{first}–{last}"
 
 
 def _format_explained(fit: Goodness) -> str:
