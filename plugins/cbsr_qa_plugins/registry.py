@@ -92,6 +92,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.EFFECT, "backlash", "effects.head:Backlash"),
     (Kind.EFFECT, "uneven-conductance", "effects.sheet:UnevenConductance"),
     (Kind.EFFECT, "uneven-response", "effects.sheet:UnevenResponse"),
+    (Kind.EFFECT, "batch-pattern", "effects.sheet:BatchPattern"),
     (Kind.EFFECT, "uneven-thickness", "effects.sheet:UnevenThickness"),
     (Kind.EFFECT, "contact-spread", "effects.electrodes:ContactSpread"),
     (Kind.EFFECT, "contact-drift", "effects.electrodes:ContactDrift"),

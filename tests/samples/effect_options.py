@@ -17,6 +17,7 @@ REQUIRED: dict[str, dict[str, Any]] = {
     "backlash": {"play_mm": 0.1},
     "uneven-conductance": {"deviation": 0.1, "correlation_mm": 20.0},
     "uneven-response": {"deviation": 0.1, "correlation_mm": 20.0},
+    "batch-pattern": {"rho": 0.75, "batch": "41", "deviation": 0.2, "correlation_mm": 20.0},
     "uneven-thickness": {"deviation": 0.1, "correlation_mm": 20.0},
     "contact-spread": {"deviation": 0.1},
     "contact-drift": {"deviation_per_hour": 0.1},

@@ -61,7 +61,8 @@ def test_a_run_on_the_shipped_station_imports_the_effects_of_its_scene_and_no_ot
 RANDOM = {
     name: REQUIRED.get(name, {})
     for name in (
-        *("uneven-conductance", "uneven-response", "uneven-thickness", "contact-spread", "pin-position-error"),
+        *("uneven-conductance", "uneven-response", "batch-pattern", "uneven-thickness", "contact-spread"),
+        "pin-position-error",
         *("applicator-position-error", "sheet-seat", "contact-drift", "electrode-intermittent"),
         *("measurement-noise", "electrode-noise", "johnson-noise", "mains-hum", "load-cell-noise"),
     )

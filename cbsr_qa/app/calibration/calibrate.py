@@ -15,6 +15,7 @@ from cbsr_qa.calibration.presses.inputs import LabelledPresses
 from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses
 from cbsr_qa.calibration.presses.learning import PressesLearned, learn_presses
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.press_calibration import (
     PRESS_QUANTITIES,
@@ -217,6 +218,8 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
             error = f"{with_uncertainty(quantity.mean, quantity.stderr)} {unit}"
             facts.append((f"Error of {name}", f"{error}, {_format_count(quantity)}"))
             facts.append((f"Intervals hold the {name}", _format_coverage(*quantity.coverage.values())))
+    if issued.force is not None:
+        facts.append(("Errors of force include", describe_force_error(())))
     if issued.registration.trusted:
         explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
         facts.append(("Explained by the model", explained))

@@ -88,7 +88,7 @@ class SettlingForces:
             return force, float(np.hypot(stderr, _UNKNOWN * force)), flags | Flag.UNSETTLED, load.settled_in_s
         if load.settled_in_s == 0:
             return force, float(np.hypot(stderr, self._crept(time_s - load.since_s, load) * force)), flags, 0.0
-        force, stderr = (load.force_N, load.stderr_N) if _presses(load) else (0.0, float(np.hypot(force, stderr)))
+        force, stderr = (load.force_N, load.scatter_N) if _presses(load) else (0.0, float(np.hypot(force, stderr)))
         validity = self._calibration.issued.validity
         in_range = int(range_flags(np.array([force]), np.array([stderr]), single.place_mm, validity)[0])
         return force, stderr, flags & ~_RANGE | in_range | Flag.UNSETTLED, load.settled_in_s

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from enum import StrEnum
+from math import hypot, sqrt
 from typing import Final
 
 import numpy as np
@@ -47,6 +48,7 @@ class TrackedLoad:
     settled_in_s : time until what is still to come of a press is less than the error of one frame, or what is left
         of a released load no longer shows; 0 from then on. NaN for a residue that does not fade with the material.
     flags : values of :class:`~cbsr_qa.calibration.force.inverse.Flag`; UNSETTLED until then.
+    shared_stderr_N : part of ``stderr_N`` that all forces of the calibration share.
     """
 
     number: int
@@ -59,6 +61,12 @@ class TrackedLoad:
     left_N: float
     settled_in_s: float
     flags: Flag
+    shared_stderr_N: float
+
+    @property
+    def scatter_N(self) -> float:
+        """The other part of ``stderr_N``."""
+        return sqrt(max(self.stderr_N**2 - self.shared_stderr_N**2, 0.0))
 
 
 class ForceStream:
@@ -263,6 +271,7 @@ class ForceStream:
         settled_in_s = track.time_to_settle_s(self._model, share)
         if settled_in_s != 0:
             flags |= Flag.UNSETTLED
+        shared_N = float(self._calibration.shared_error.stderr_N(force)[0]) if pressing else 0.0
         return TrackedLoad(
             number=track.number,
             state=LoadState(track.state),
@@ -270,7 +279,8 @@ class ForceStream:
             place_mm=(float(track.place_mm[0]), float(track.place_mm[1])),
             place_stderr_mm=float(np.sqrt(np.trace(match.covariance[0, 1:, 1:]) / 2)),
             force_N=float(force[0]) if pressing else 0.0,
-            stderr_N=float(stderr[0]) if pressing else 0.0,
+            stderr_N=hypot(float(stderr[0]), shared_N) if pressing else 0.0,
+            shared_stderr_N=shared_N,
             left_N=0.0 if pressing else float(force[0]),
             settled_in_s=settled_in_s,
             flags=flags,

@@ -52,6 +52,26 @@ def uneven_response() -> Canvas:
     return figure
 
 
+def batch_pattern() -> Canvas:
+    """Maps of two sensors of a batch, and how alike their responses are at the same places."""
+    figure, axes = panels(1, 1, 1.1)
+    pattern = {"rho": 0.9, "batch": "41", "deviation": 0.2, "correlation_mm": 35.0}
+    designs = [worlds.design({"batch-pattern": pattern}, seed=seed) for seed in (1, 2)]
+    for number, design in enumerate(designs):
+        disc_map(axes[number], design.response_at, "response over its mean")
+        axes[number].set_title(f"Sensor {number + 1}")
+    along = np.arange(-36.0, 37.0, 12.0)
+    places = np.stack(np.meshgrid(along, along), axis=-1).reshape(-1, 2)
+    places = places[np.hypot(*places.T) < 45]
+    first, second = (np.log(design.response_at(places)) for design in designs)
+    ends = np.array([min(first.min(), second.min()), max(first.max(), second.max())])
+    axes[2].plot(ends, ends, **CLOSED, label="alike")
+    axes[2].plot(first, second, "o", color=BLUE, markersize=2.5)
+    say(axes[2], "ρ = 0.9", "sensor 1, logarithm", "sensor 2")
+    key(axes[2], "upper left")
+    return figure
+
+
 def uneven_thickness() -> Canvas:
     """The thickness on the disc, and the strain of one depth."""
     figure, (left, right) = panels(1.15, 1)
@@ -176,6 +196,7 @@ def _under_head(x_mm: float, y_mm: float) -> Array:
 FIGURES: Final[dict[str, Draw]] = {
     "uneven-conductance": uneven_conductance,
     "uneven-response": uneven_response,
+    "batch-pattern": batch_pattern,
     "uneven-thickness": uneven_thickness,
     "contact-spread": contact_spread,
     "pin-position-error": pin_position_error,

@@ -79,9 +79,9 @@ def setting(*, head: Indenter = HEAD, seed: int = SEED) -> SceneSetting:
     return SceneSetting(sensor_type(), material(), head, seed, of.current_A, of.frame_period_s)
 
 
-def design(effects: Effects) -> SheetDesign:
+def design(effects: Effects, seed: int = SEED) -> SheetDesign:
     """A sheet as effects of the stage ``sheet`` leave it."""
-    of = setting()
+    of = setting(seed=seed)
     plain = SheetDesign.plain(of.sensor_type, of.indenter)
     build_chain(scene(effects), of, effect_factory).design(plain)
     return plain

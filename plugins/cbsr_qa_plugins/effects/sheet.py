@@ -25,27 +25,36 @@ _LATTICE: Final = 41  # places a side
 _WAVES: Final = 400  # their sum is Gaussian to a kurtosis of 3 − 1.5/400
 
 
-def smooth_factor(stream: RandomStream, *, deviation: float, correlation_mm: float, over_mm: Array) -> SheetField:
-    """A positive random factor, one on average over some places.
+def draw_field(stream: RandomStream, correlation_mm: float) -> SheetField:
+    """Draw a Gaussian field of variance one with the covariance exp(−d²/2ℓ²).
 
-    The logarithm is a Gaussian field with the covariance s² exp(−d²/2ℓ²), made of waves of random directions, lengths
-    and phases (random Fourier features; Rahimi & Recht 2007): a function of place alone, whatever the mesh.
-
-    Parameters
-    ----------
-    stream : its numbers of index 0 are used.
-    deviation : standard deviation of the factor over its mean, before it is divided by what is alike over all places.
-    correlation_mm : ℓ.
-    over_mm : (n, 2) places, evenly spread over the sheet, whose mean factor is one.
+    It is made of waves of random directions, lengths and phases (random Fourier features; Rahimi & Recht 2007): a
+    function of place alone, whatever the mesh. The stream's numbers of index 0 are used.
     """
     random = stream.generator(0)
     waves = random.standard_normal((_WAVES, 2)) / correlation_mm
     phases = random.uniform(0, 2 * np.pi, _WAVES)
+
+    def field(places_mm: Array) -> Array:
+        values: Array = np.sqrt(2 / _WAVES) * np.cos(places_mm @ waves.T + phases).sum(axis=1)
+        return values
+
+    return field
+
+
+def smooth_factor(field: SheetField, *, deviation: float, over_mm: Array) -> SheetField:
+    """Return a positive factor whose logarithm is a Gaussian field, one on average over some places.
+
+    Parameters
+    ----------
+    field : Gaussian field of variance one.
+    deviation : standard deviation of the factor over its mean, before it is divided by what is alike over all places.
+    over_mm : (n, 2) places, evenly spread over the sheet, whose mean factor is one.
+    """
     spread = float(np.sqrt(np.log1p(deviation**2)))  # of the logarithm, for that deviation of the factor
 
     def raw(places_mm: Array) -> Array:
-        field = np.sqrt(2 / _WAVES) * np.cos(places_mm @ waves.T + phases).sum(axis=1)
-        factor: Array = np.exp(spread * field)
+        factor: Array = np.exp(spread * field(places_mm))
         return factor
 
     mean = float(raw(over_mm).mean())
@@ -89,9 +98,8 @@ class UnevenSheet(SceneEffect):
         factors: list[SheetField] = getattr(design, self.quantity)
         factors.append(
             smooth_factor(
-                self._stream,
+                draw_field(self._stream, self.options.correlation_mm),
                 deviation=self.options.deviation,
-                correlation_mm=self.options.correlation_mm,
                 over_mm=places_on(design.sensor_type.outline),
             )
         )
@@ -116,6 +124,45 @@ class UnevenThickness(UnevenSheet):
     """The thickness varies from place to place: a thicker place conducts better and is strained less."""
 
     quantity = "thickness"
+
+
+class BatchPattern(SceneEffect):
+    """Sensors of one batch respond to strain alike: their maps share a pattern.
+
+    The logarithm of the response is √ρ c + √(1 − ρ) d with two Gaussian fields: c is drawn once per batch, d once per
+    seed. ρ is so the share of its variance that two sensors of a batch have in common.
+
+    Parameters
+    ----------
+    rho : ρ, from 0 (nothing in common) to 1.
+    batch : name of the batch, which the common pattern is drawn for.
+    deviation, correlation_mm : as those of uneven-response.
+    """
+
+    class Options(PluginOptions):
+        rho: Annotated[float, Field(ge=0, le=1)]
+        batch: Annotated[str, Field(min_length=1, max_length=64)]
+        deviation: Annotated[float, Field(ge=0, le=1)]
+        correlation_mm: Positive
+
+    perturbs = "sheet"
+    options: Options
+
+    def prepare(self, setting: SceneSetting) -> None:
+        # Negative, so that no sensor's own seed is the same.
+        batch_seed = -1 - int.from_bytes(self.options.batch.encode(), "big")
+        self._streams = [RandomStream(seed, "batch-pattern") for seed in (batch_seed, setting.seed)]
+
+    def design(self, design: SheetDesign) -> None:
+        common, own = (draw_field(stream, self.options.correlation_mm) for stream in self._streams)
+        rho = self.options.rho
+        design.response.append(
+            smooth_factor(
+                lambda places_mm: np.sqrt(rho) * common(places_mm) + np.sqrt(1 - rho) * own(places_mm),
+                deviation=self.options.deviation,
+                over_mm=places_on(design.sensor_type.outline),
+            )
+        )
 
 
 class Piezoresistivity(SceneEffect):

@@ -12,6 +12,7 @@ from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.force.shared_error import SharedError
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.runtime.settling_forces import SettlingForces
+from cbsr_qa.calibration.runtime.tracking import ForceStream
 from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.domain.readings.loads import Indenter
 
@@ -90,6 +91,20 @@ def test_forces_followed_over_time_carry_it_once():
     assert np.array_equal(forces.force_N, scatter.force_N)
     assert (forces.shared_stderr_N > 0).any()
     assert forces.stderr_N == pytest.approx(np.hypot(scatter.stderr_N, forces.shared_stderr_N), rel=1e-9)
+
+
+def test_loads_that_a_stream_follows_carry_it_too():
+    rest = np.repeat(force_calibration().reference[None], 3, axis=0)
+    seen = np.concatenate([rest, frames(np.repeat(_PLACES[:1], 12, axis=0), np.full(12, 2.0))])
+
+    def follow(calibration):
+        stream = ForceStream(calibration)
+        return [stream.update(0.5 * n, frame) for n, frame in enumerate(seen)][-1][0]
+
+    scatter, load = follow(traced()), follow(traced(LOAD_CELL))
+    assert (load.force_N, load.scatter_N) == pytest.approx((scatter.force_N, scatter.stderr_N), rel=1e-9)
+    assert load.shared_stderr_N == pytest.approx(0.0025 * load.force_N, rel=1e-12)
+    assert load.stderr_N == pytest.approx(np.hypot(scatter.stderr_N, load.shared_stderr_N), rel=1e-12)
 
 
 def test_intervals_hold_when_each_load_cell_errs_as_its_certificate_states():

@@ -8,7 +8,13 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.world import SheetDesign
 from cbsr_qa_plugins.effects.electrodes import ContactSpread
 from cbsr_qa_plugins.effects.head import PinPositionError
-from cbsr_qa_plugins.effects.sheet import UnevenConductance, UnevenResponse, UnevenThickness, places_on
+from cbsr_qa_plugins.effects.sheet import (
+    BatchPattern,
+    UnevenConductance,
+    UnevenResponse,
+    UnevenThickness,
+    places_on,
+)
 
 OF = setting()
 OUTLINE = OF.sensor_type.outline
@@ -41,6 +47,44 @@ def test_deviation_and_correlation_over_many_sheets_are_those_stated():
     assert np.exp(logs).std(axis=0) == pytest.approx(0.1, rel=0.15)
     covariance = np.cov(logs.T)[0] / spread**2
     assert covariance == pytest.approx(np.exp(-(places[:, 0] ** 2) / (2 * 8.0**2)), abs=0.15)
+
+
+def log_responses(places, *, seeds, **parameters):
+    """Log responses (sensors, n) of sensors of one batch at places."""
+    logs = []
+    for seed in seeds:
+        design = plain()
+        effect = BatchPattern(setting(seed=seed), deviation=0.2, correlation_mm=8.0, **parameters)
+        effect.design(design)
+        logs.append(np.log(design.response_at(places)))
+    return np.array(logs)
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("rho", [0.0, 0.75])
+def test_sensors_of_a_batch_have_the_stated_share_of_their_variance_in_common(rho):
+    """Two sensors each of 150 batches, on a sheet far wider than the correlation."""
+    places = np.array([[0.0, 0.0], [20.0, 0.0], [0.0, -20.0]])
+    logs = np.array(
+        [
+            log_responses(places, seeds=(2 * number, 2 * number + 1), rho=rho, batch=f"B{number}")
+            for number in range(150)
+        ]
+    )
+    logs -= logs.mean(axis=(0, 1))
+    shared = np.mean(logs[:, 0] * logs[:, 1]) / np.mean(logs**2)
+    assert shared == pytest.approx(rho, abs=0.1)
+    assert np.sqrt(np.mean(logs**2)) == pytest.approx(np.sqrt(np.log1p(0.2**2)), rel=0.15)
+
+
+def test_a_batch_that_is_all_alike_has_one_map_and_another_batch_another():
+    places = places_on(OUTLINE)[::50]
+    first, second = log_responses(places, seeds=(1, 2), rho=1.0, batch="41")
+    assert first == pytest.approx(second, abs=1e-12)
+    (other,) = log_responses(places, seeds=(1,), rho=1.0, batch="42")
+    assert np.abs(first - other).max() > 0.1
+    own, repeated = log_responses(places, seeds=(1, 1), rho=0.5, batch="41")
+    assert np.array_equal(own, repeated)
 
 
 #: What is left of a deviation of 0.1 on a sheet, by correlation length [mm].
