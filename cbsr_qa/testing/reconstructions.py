@@ -28,6 +28,13 @@ def check_reconstruction(
 ) -> tuple[Checked, ...]:
     """Run every check that applies to a method.
 
+    - Images of targets of either sign show them in their places, with all readings and with three electrodes masked.
+    - A target rotated by one electrode on an exactly symmetric mesh gives a rotated image.
+    - A second image, a second preparation and, with ``elsewhere``, another process with two threads give the same.
+    - Readings that are not numbers are refused.
+    - Methods with one matrix, and those with an attribute ``linear = True``, are linear, and the covariance of
+      imaged noise is the propagated one.
+
     Parameters
     ----------
     factory : called without arguments for each preparation; ``functools.partial`` gives it options.
