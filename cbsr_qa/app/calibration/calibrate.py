@@ -82,7 +82,8 @@ class HeldOut:
 
     Parameters
     ----------
-    coverage : share of the presses left out whose region of 68 and 95 % holds the label.
+    coverage : share of the presses left out whose region of 68 and 95 % holds the label; None if they are too few to
+        tell how wide regions are.
     force_N, depth_mm : None where presses had none.
     """
 
@@ -268,11 +269,11 @@ def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Secti
         sheet = _sheet_mm(labelled.sensor_type, registration) if registration.trusted else {}
         return cross_validation_figure(places_mm, cv.found_mm, cv.levels, cv.held, **sheet)
 
-    low, high = cv.coverage
-    alternative = (
-        f"{cv.count} presses left out, missed by {format_fixed(cv.mean_mm, 2)} mm in the mean; regions of 68 and"
-        f" 95 % hold {low:.0%} and {high:.0%} of them."
-    )
+    regions = "they do not tell how wide regions are."
+    if cv.coverage is not None:
+        regions = "regions of 68 and 95 % hold {:.0%} and {:.0%} of them.".format(*cv.coverage)
+    missed = f"{cv.count} presses left out, missed by {format_fixed(cv.mean_mm, 2)} mm in the mean"
+    alternative = f"{missed}; {regions}"
     return (Section("Presses left out", (Figure(_MAP, alternative, draw),), page_only=True),)
 
 

@@ -20,7 +20,14 @@ from cbsr_qa.calibration.place.features import (
     strengths,
     turn_by,
 )
-from cbsr_qa.calibration.place.held_out import HeldOut, PressedSheet, coverage_of, evenly, late_growth
+from cbsr_qa.calibration.place.held_out import (
+    FEWEST_FOR_REGIONS,
+    HeldOut,
+    PressedSheet,
+    coverage_of,
+    evenly,
+    late_growth,
+)
 from cbsr_qa.calibration.place.mixture import few_presses_tell
 from cbsr_qa.calibration.place.process import (
     frames_likelihoods,
@@ -154,7 +161,7 @@ def learn_place(
     growth, later = 1.0, None
     recheck_count = 0 if drift is None else drift.late
     if drift is not None:
-        growth, later = sheet.misfit_growth(learning, drift.horizon), drift.later
+        growth, later = sheet.growth_by_drift(learning, drift.horizon), drift.later
         sheet = replace(sheet, features=sheet.features + drift.since)
         learning = sheet.template_learning()
     tell("locating presses that were left out")
@@ -334,6 +341,11 @@ def _warnings(held_out: HeldOut, sheet: PressedSheet, scales: PlaceScales) -> It
         yield (
             f"the readings hardly depend on the place: the mean error of presses left out is {held_out.mean_mm:.1f}"
             f" mm; always guessing the middle of the presses gives {spread_mm:.1f} mm"
+        )
+    if held_out.coverage is None:
+        yield (
+            f"{held_out.places} places do not tell how wide regions are: from nine, those of 68 % held 30 to 99 % of"
+            f" other presses; press at {FEWEST_FOR_REGIONS} or more places"
         )
     at_edge = list_edge_hyperparameters(scales, sheet.features, sheet.places_mm)
     if at_edge:

@@ -143,6 +143,13 @@ class TemplateLearning:
         uncertainty = np.maximum(1 - explained_variance, 0.0) / self._ratio
         return PlaceTemplates(self._grid, whitening, on_grid @ whitening, uncertainty)
 
+    def misfits_left_out(self, block: Indices) -> Array:
+        """Squared misfit per reading (b,) of each press of a block at its place, by templates of all others."""
+        weights = self._inverse @ self._subtract_shared(block)[0]
+        errors = np.linalg.solve(self._inverse[np.ix_(block, block)], weights[block])
+        misfits: Array = ((errors @ self.leave_out_block(block).whitening) ** 2).mean(axis=1)
+        return misfits
+
     def leave_out_each(self) -> tuple[Array, Array]:
         """Difference (n, m) of every press from the templates of all others, and those templates."""
         errors = self._errors(NO_PRESS, self._inverse @ self._subtract_shared(NO_PRESS)[0])

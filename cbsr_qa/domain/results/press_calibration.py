@@ -132,7 +132,8 @@ class PressCalibration:
     used, left_out : presses that it was learned from and those it was not.
     held_out_mm, held_out_stderr_mm, held_out : mean error of place of presses left out, its standard error and their
         number.
-    covered_68, covered_95 : share of these whose region of that probability holds the label.
+    covered_68, covered_95 : share of these whose region of that probability holds the label; None if too few presses
+        tell how wide regions are.
     place : model that converts changes to places.
     modelled : figures by the modelled sheet alone.
     force, depth : models that turn located changes into newtons and millimetres; None where presses had none.

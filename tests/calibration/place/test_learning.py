@@ -69,6 +69,8 @@ def test_error_falls_with_the_number_of_presses(sheet, learned):
         for model in (few.model, learned.model)
     ]
     assert errors[1] < 0.7 * errors[0]
+    assert few.held_out.coverage is None  # twelve errors do not tell how wide regions are
+    assert any("12 places do not tell how wide regions are" in words for words in few.warnings)
 
 
 @pytest.mark.rest

@@ -7,7 +7,7 @@ import pytest
 from pressed_sheets import adjacent_pairs, pressed_sheet
 from scipy.optimize import check_grad
 
-from cbsr_qa.calibration.place.features import features_of, pattern_turns
+from cbsr_qa.calibration.place.features import compute_squared_distances, features_of, pattern_turns
 from cbsr_qa.calibration.place.process import (
     _AT_ONCE,
     _Likelihood,
@@ -17,7 +17,7 @@ from cbsr_qa.calibration.place.process import (
     list_edge_hyperparameters,
     locate,
 )
-from cbsr_qa.calibration.place.templates import NO_PRESS, TemplateLearning
+from cbsr_qa.calibration.place.templates import NO_PRESS, TemplateLearning, _posterior
 from cbsr_qa.domain.results.learned_place import FeatureScaling
 
 TURNS = pattern_turns(adjacent_pairs(8), 8)
@@ -103,3 +103,17 @@ def test_templates_without_presses_are_those_of_the_others(without_these):
     for name in ("whitening", "templates"):
         expected = getattr(alone, name)
         np.testing.assert_allclose(getattr(without, name), expected, rtol=5e-7, atol=5e-9 * np.abs(expected).max())
+
+
+def test_misfits_of_presses_left_out_are_those_at_their_places():
+    """On a fine grid a template beside a press is as that at its place."""
+    sheet = pressed_sheet(60, seed=3, noise=0.5)
+    turns = pattern_turns(sheet.pairs, 16)
+    features = features_of(sheet.changes, FeatureScaling(0.7, 0.5, np.full(len(sheet.pairs), np.inf)))
+    learning, block = TemplateLearning(turns, features, sheet.places_mm, 46.0), np.arange(20, 40)
+    templates = learning.leave_out_block(block)
+    _, squared = _posterior(templates, features[block])
+    at_places = squared * (1 + templates.uncertainty) / features.shape[1]
+    nearest = compute_squared_distances(sheet.places_mm[block], templates.grid_mm).argmin(axis=1)
+    expected = at_places[np.arange(20), nearest]
+    assert np.median(learning.misfits_left_out(block) / expected) == pytest.approx(1, abs=0.05)
