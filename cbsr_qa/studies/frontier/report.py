@@ -52,8 +52,7 @@ _SETTING: Final = (
 )
 _PLOT: Final = (
     "Force error on loads the calibration has not seen, against station time. Filled: worth its time. Squares: "
-    "transients predicted. Ring: the recommended setting, as on the sensors of all others; its error on new sensors "
-    "stands above."
+    "transients predicted. Ring: the setting named above, on the same sensors as all others."
 )
 _PLOT_ALTERNATIVE: Final = "Force errors against station time; the tables below have the numbers."
 _SERIES: Final = "{repetitions}. •: no other setting is as accurate in less time."
@@ -81,11 +80,11 @@ def _page(frontier: Frontier) -> Page:
         force, minutes = _format_accuracy(recommended.accuracy["force_error"]), (recommended.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", recommended.why)
         if recommended.seeds < 2:
-            banner = Banner("plain", _NONE, f"A setting to look at: {minutes:.0f} min", recommended.why)
+            banner = Banner("plain", _NONE, "No setting recommended from one sensor", recommended.why)
         setting = recommended.way
         strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
         words = setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")}
-        facts = [("Recommended", _SETTING.format_map(words))]
+        facts = [("Recommended" if recommended.seeds > 1 else "Setting to look at", _SETTING.format_map(words))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),
