@@ -22,7 +22,7 @@ from cbsr_qa.calibration.presses.inputs import LabelledPresses
 from cbsr_qa.studies.frontier.presses.law import fit_laws
 from cbsr_qa.studies.frontier.presses.needed import forecast_presses
 from cbsr_qa.studies.frontier.presses.resampling import resample_errors
-from cbsr_qa.studies.frontier.presses.study import draw_rows, numbers_of
+from cbsr_qa.studies.frontier.presses.study import draw_rows, list_numbers
 from cbsr_qa.studies.frontier.presses.trial import Trial, try_presses
 from cbsr_qa.studies.frontier.recommend import Needed
 
@@ -101,7 +101,7 @@ def _draw_difficulties(random: np.random.Generator, count: int) -> Array:
 
 def judge(law: Law, total: int, quick: bool, recordings: int) -> Iterator[tuple[str, list[Judged]]]:
     """Yield each target, and how the forecasts of all recordings stand against the presses that it really needs."""
-    largest = numbers_of(total)[-1]
+    largest = list_numbers(total)[-1]
     targets_mm = {f"{factor:g} times": (true_error(law, factor * largest), factor * largest) for factor in FACTORS}
     if (floor_mm := true_error(law, 1e15)) > _NO_FLOOR_MM:
         targets_mm["below the floor"] = (_BELOW * floor_mm, np.inf)

@@ -19,7 +19,7 @@ _COLOURS: Final = (*CYCLE, INK)  # one per series
 _LATE_MIN: Final = 100.0  # names of later points stand to their left
 
 
-def station_svg(points: Sequence[Point], chosen: Recommendation) -> str:
+def draw_station(points: Sequence[Point], chosen: Recommendation) -> str:
     """Draw force error against minutes of the station."""
     return svg_of(lambda: _canvas(points, chosen))
 

@@ -62,7 +62,7 @@ _ONE_SENSOR: Final = (
 _ALIKE: Final = "The same in all rows: {knobs}."
 
 
-def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
+def lay_out_frontier(frontier: Frontier) -> CommandOutcome[Frontier]:
     """Lay a frontier out."""
     series = dict.fromkeys((point.clock, point.series) for point in frontier.points)
     sections = (
@@ -103,16 +103,16 @@ def _how_to_read(frontier: Frontier) -> Iterator[Block]:
     if any("force_error" in point.accuracy for point in frontier.points):
 
         def draw() -> str:
-            from cbsr_qa.studies.frontier.figures import station_svg  # loads matplotlib
+            from cbsr_qa.studies.frontier.figures import draw_station  # loads matplotlib
 
-            return station_svg(frontier.points, frontier.recommended)
+            return draw_station(frontier.points, frontier.recommended)
 
         yield Figure(_PLOT, _PLOT_ALTERNATIVE, draw)
 
 
 def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block]:
     points = [point for point in frontier.points if point.clock is clock and point.series == series]
-    columns, rows = table_of(points)
+    columns, rows = tabulate_points(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
     first = sum(knob in texts for knob in _varying_knobs(points)[:1])  # names are left-aligned
     seeds = points[0].seeds
@@ -123,12 +123,12 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
     if clock is TimeBasis.STATION and seeds < 2:
         caption = _ONE_SENSOR
     yield text_table(caption, columns, rows, range(first, len(columns) - 1))
-    if alike := alike_in(points, frontier.points):
+    if alike := describe_common_knobs(points, frontier.points):
         yield Paragraph(_ALIKE.format(knobs=alike), "note")
-    yield from (Paragraph(f"{note}.", "note") for note in notes_of(points))
+    yield from (Paragraph(f"{note}.", "note") for note in list_notes(points))
 
 
-def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
+def tabulate_points(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
     """Columns and rows of one series: differing knobs, values, cost, and whether it is worth it."""
     knobs = _varying_knobs(points)
     values = list(dict.fromkeys(name for point in points for name in point.accuracy))
@@ -145,7 +145,7 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
     return [*names, "time", "worth it"], rows
 
 
-def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
+def describe_common_knobs(members: Sequence[Point], points: Sequence[Point]) -> str:
     """Knobs left out of a series' table because they are constant in it, though other series vary them."""
     varying = _varying_knobs(members)
     constant_knobs = {
@@ -157,7 +157,7 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
     return _knobs(constant_knobs)
 
 
-def notes_of(members: Sequence[Point]) -> list[str]:
+def list_notes(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     if len({point.note for point in members}) == 1:
         return [members[0].note] if members[0].note else []

@@ -46,7 +46,7 @@ _DRAWS: Final = {True: (1, 3), False: (2, 20)}
 _Draw = tuple[str, LabelledPresses, Indices, Indices]
 
 
-def press_frontier(
+def study_presses(
     labelled: LabelledPresses,
     target_mm: float | None = None,
     *,
@@ -125,7 +125,7 @@ def _resample(
     )
 
 
-def numbers_of(total: int) -> list[int]:
+def list_numbers(total: int) -> list[int]:
     """Numbers of presses to learn from where there are ``total``, each about twice the one before.
 
     RefusedError if there are too few to learn from some and locate others.
@@ -151,7 +151,7 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
         yield AT_RANDOM, timeless, learned, located
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
-    early_numbers = [number for number in numbers_of(total) if number <= total / 2]
+    early_numbers = [number for number in list_numbers(total) if number <= total / 2]
     for number in early_numbers[-1:] if quick else early_numbers:
         learned, latest = session[:number], session[-_holdout_count(total) :][-_MAX_LOCATED:]
         latest = latest[~np.isin(visits[latest], visits[learned])]
@@ -162,7 +162,7 @@ def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
 def draw_rows(visits: Indices, *, quick: bool) -> Iterator[tuple[Indices, Indices]]:
     """Yield rows learned from and located, of draws at random from presses (n,) with the number of their place."""
     total = len(visits)
-    for number in numbers_of(total):
+    for number in list_numbers(total):
         for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
             random = np.random.default_rng([*b"presses", number, split])
             located = _draw_places(visits, _holdout_count(total), random)
