@@ -115,17 +115,19 @@ def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block
     columns, rows = tabulate_points(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
     first = sum(knob in texts for knob in _varying_knobs(points)[:1])  # names are left-aligned
-    seeds = points[0].seeds
-    repetitions = (
-        plural(seeds, "repetition").capitalize() if clock is TimeBasis.COMPUTER else f"Means of {seeds} sensors"
-    )
-    caption = _SERIES.format(repetitions=repetitions)
-    if clock is TimeBasis.STATION and seeds < 2:
-        caption = _ONE_SENSOR
-    yield text_table(caption, columns, rows, range(first, len(columns) - 1))
+    yield text_table(_caption(clock, points[0].seeds), columns, rows, range(first, len(columns) - 1))
     if alike := describe_common_knobs(points, frontier.points):
         yield Paragraph(_ALIKE.format(knobs=alike), "note")
     yield from (Paragraph(f"{note}.", "note") for note in list_notes(points))
+
+
+def _caption(clock: TimeBasis, seeds: int) -> str:
+    if clock is TimeBasis.STATION and seeds < 2:
+        return _ONE_SENSOR
+    means = f"Means of {seeds} sensors"
+    return _SERIES.format(
+        repetitions=means if clock is TimeBasis.STATION else plural(seeds, "repetition").capitalize()
+    )
 
 
 def tabulate_points(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:

@@ -91,7 +91,7 @@ def test_a_setting_without_a_rival_is_the_only_one():
 def test_settings_that_cannot_be_told_from_the_best_are_counted():
     alike = way(20, 0.08, 0.13, 0.12, 0.1, places=14)
     why = chosen(Target(None, 3600.0), [*ALL, alike]).why
-    assert "; 1 other cannot be told from it" in why
+    assert "; 1 other cannot be distinguished from it" in why
 
 
 @pytest.mark.parametrize(
