@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.presses.figures import presses_figure
+from cbsr_qa.studies.frontier.presses.figures import draw_press_errors
 
 TABLE: Final = Path(__file__).resolve().parents[1] / "explanation" / "place.md"
 FIGURE: Final = TABLE.parent / "figures" / "frontier" / "presses.svg"
@@ -39,7 +39,7 @@ def _point(number: int, error: list[str], held: list[str]) -> Point:
 
 def drawn_from(page: str) -> str:
     """The figure of a page's table."""
-    return presses_figure(list(points_of(page))) + "\n"
+    return draw_press_errors(list(points_of(page))) + "\n"
 
 
 if __name__ == "__main__":

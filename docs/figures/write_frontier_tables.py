@@ -13,12 +13,12 @@ from collections.abc import Sequence
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
-from cbsr_qa.studies.frontier.figures import station_svg
+from cbsr_qa.studies.frontier.computer.sweeps import mark_worth_of_computer, plan_computer_work
+from cbsr_qa.studies.frontier.figures import draw_station
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
 from cbsr_qa.studies.frontier.recommend import Recommendation
-from cbsr_qa.studies.frontier.report import table_of
-from cbsr_qa.studies.frontier.station import worth_the_station
+from cbsr_qa.studies.frontier.report import tabulate_points
+from cbsr_qa.studies.frontier.station import mark_worth_of_station
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "reference" / "frontier.md"
 FIGURE: Final = PAGE.parents[1] / "explanation" / "figures" / "frontier" / "station.svg"
@@ -57,7 +57,7 @@ def written(page: str, points: Sequence[Point]) -> str:
         if not chosen:
             return found[0]
         if chosen[0].clock is TimeBasis.STATION:
-            return f"{found[1]}\n{_rows(*table_of(chosen))}\n\n{found[3]}"
+            return f"{found[1]}\n{_rows(*tabulate_points(chosen))}\n\n{found[3]}"
         return f"{found[1]}\n{_table(chosen)}\n\n{found[3]}"
 
     return _TABLE.sub(table, page)
@@ -133,17 +133,17 @@ def main(arguments: Sequence[str]) -> None:
         points = [restore(Point, document) for document in documents]
     else:
         points = []
-        for work in computer_work():
+        for work in plan_computer_work():
             sys.stderr.write(f"{work.what}\n")
             points += work.run()
     computer, station = (
         [point for point in points if point.clock is clock] for clock in (TimeBasis.COMPUTER, TimeBasis.STATION)
     )
-    points = [*worth_their_time(computer), *worth_the_station(station)]
+    points = [*mark_worth_of_computer(computer), *mark_worth_of_station(station)]
     PAGE.write_text(written(PAGE.read_text(encoding="utf-8"), points), encoding="utf-8")
     if station:
         FIGURE.parent.mkdir(exist_ok=True)
-        FIGURE.write_text(station_svg(points, Recommendation(None, None, None, "")) + "\n", encoding="utf-8")
+        FIGURE.write_text(draw_station(points, Recommendation(None, None, None, "")) + "\n", encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -44,7 +44,7 @@ def test_the_errors_of_coarse_voltages(monkeypatch, order, size):
     monkeypatch.setattr(computer_forward, "fastest_s", lambda run, repeats=1: 1e-3)  # times are of one machine
     rows = marked_tables(COSTS)["forward-model, pins"]
     (row,) = (row for row in rows if (row["order"], row["size [mm]"]) == (order, size))
-    point = computer_forward.forward_point("pin", int(order), float(size))
+    point = computer_forward.measure_forward("pin", int(order), float(size))
     assert row["voltage error"] == f"{point.accuracy['voltage_error'].value:.1e}"
     assert row["error of a load's signal"] == f"{point.accuracy['load_signal_error'].value:.1e}"
     assert row["unknowns"] == f"{point.costs['unknowns']:.0f}"

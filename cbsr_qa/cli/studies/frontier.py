@@ -109,7 +109,7 @@ def frontier(
     from cbsr_qa.studies.frontier.files import Files
     from cbsr_qa.studies.frontier.point import TimeBasis
     from cbsr_qa.studies.frontier.recommend import Target
-    from cbsr_qa.studies.frontier.report import frontier_outcome
+    from cbsr_qa.studies.frontier.report import lay_out_frontier
     from cbsr_qa.studies.frontier.study import frontier as sweep
 
     target = Target(
@@ -134,19 +134,19 @@ def frontier(
     if png is not None:
         write_png(swept.points, swept.recommended, png)
         note(f"picture      {png}")
-    show(frontier_outcome(swept), output=output, as_json=as_json)
+    show(lay_out_frontier(swept), output=output, as_json=as_json)
 
 
 def _study_presses(files: "PressFiles", target_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":
     from cbsr_qa.analysis.recording.press_files import read_labelled_presses
-    from cbsr_qa.studies.frontier.presses.report import press_outcome
-    from cbsr_qa.studies.frontier.presses.study import press_frontier
+    from cbsr_qa.studies.frontier.presses.report import lay_out_presses
+    from cbsr_qa.studies.frontier.presses.study import study_presses
 
     with Counting("draws of presses") as counting:
         counting.stage("what accuracy costs in presses")
         labelled, _ = read_labelled_presses(files)
-        swept = press_frontier(labelled, target_mm, quick=quick, tell=lambda done, of, _: counting.count(done, of))
-    return press_outcome(swept, files.readings.name, target_mm)
+        swept = study_presses(labelled, target_mm, quick=quick, tell=lambda done, of, _: counting.count(done, of))
+    return lay_out_presses(swept, files.readings.name, target_mm)
 
 
 def _refuse(wrong: Set[str], why: str) -> None:

@@ -16,9 +16,10 @@ from cbsr_qa.studies.frontier.station import NAMES
 from cbsr_qa.system.files import writing
 
 _COLOURS: Final = (*CYCLE, INK)  # one per series
+_LATE_MIN: Final = 100.0  # names of later points stand to their left
 
 
-def station_svg(points: Sequence[Point], chosen: Recommendation) -> str:
+def draw_station(points: Sequence[Point], chosen: Recommendation) -> str:
     """Draw force error against minutes of the station."""
     return svg_of(lambda: _canvas(points, chosen))
 
@@ -56,7 +57,17 @@ def _draw_point(axes: Axes, point: Point, colour: str) -> None:
     face = colour if point.pareto else "none"
     axes.plot(minutes, force.value, marker, color=colour, markersize=4, markerfacecolor=face, linestyle="none")
     name = next((name for name in NAMES.values() if point.note.startswith(name)), "")
-    axes.text(minutes, force.value * 1.12, name, color=QUIET, fontsize=7, ha="right", va="bottom")
+    side = "right" if minutes > _LATE_MIN else "left"
+    axes.annotate(
+        name,
+        (minutes, force.value),
+        (0, 6),
+        textcoords="offset points",
+        color=QUIET,
+        fontsize=7,
+        ha=side,
+        va="bottom",
+    )
 
 
 def write_png(points: Sequence[Point], chosen: Recommendation, path: Path) -> None:

@@ -9,7 +9,7 @@ from typing import Any, Literal, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
-from scipy.stats import norm, t as student
+from scipy.special import ndtri, stdtrit
 
 from cbsr_qa.domain.errors import NumericsError, StoreError
 
@@ -70,7 +70,7 @@ class Accuracy:
         if len(self.by_sensor) == 1:
             return None
         degrees = len(self.by_sensor) - 1
-        factor = float(student.ppf(confidence, degrees) if degrees > 0 else norm.ppf(confidence))
+        factor = float(stdtrit(degrees, confidence) if degrees > 0 else ndtri(confidence))
         return self.value + factor * (self.stderr or 0.0)
 
     def subtract(self, other: "Accuracy", factor: float = 1.0) -> "Accuracy":

@@ -147,7 +147,7 @@ def _choose_most_accurate(
     which = _describe_rank("the smallest mean force error", affordable, within)
     why = f"{which} on {point.seeds} sensors; the error stated is that of {confirmed.seeds} new ones"
     if rivals:
-        why += f"; {plural(len(rivals), 'other')} cannot be told from it"
+        why += f"; {plural(len(rivals), 'other')} cannot be distinguished from it"
     if paper is not None and _FORCE in paper.accuracy:
         why += f"; {_compare(force, paper.accuracy[_FORCE])}"
     return Recommendation.from_point(confirmed, why, setting)

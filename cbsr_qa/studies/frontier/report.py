@@ -52,8 +52,7 @@ _SETTING: Final = (
 )
 _PLOT: Final = (
     "Force error on loads the calibration has not seen, against station time. Filled: worth its time. Squares: "
-    "transients predicted. Ring: the recommended setting, as on the sensors of all others; its error on new sensors "
-    "stands above."
+    "transients predicted. Ring: the setting named above, on the same sensors as all others."
 )
 _PLOT_ALTERNATIVE: Final = "Force errors against station time; the tables below have the numbers."
 _SERIES: Final = "{repetitions}. •: no other setting is as accurate in less time."
@@ -63,7 +62,7 @@ _ONE_SENSOR: Final = (
 _ALIKE: Final = "The same in all rows: {knobs}."
 
 
-def frontier_outcome(frontier: Frontier) -> CommandOutcome[Frontier]:
+def lay_out_frontier(frontier: Frontier) -> CommandOutcome[Frontier]:
     """Lay a frontier out."""
     series = dict.fromkeys((point.clock, point.series) for point in frontier.points)
     sections = (
@@ -81,11 +80,11 @@ def _page(frontier: Frontier) -> Page:
         force, minutes = _format_accuracy(recommended.accuracy["force_error"]), (recommended.station_s or 0) / 60
         banner = Banner("pass", "✓", f"{force} in {minutes:.0f} min", recommended.why)
         if recommended.seeds < 2:
-            banner = Banner("plain", _NONE, f"A setting to look at: {minutes:.0f} min", recommended.why)
+            banner = Banner("plain", _NONE, "No setting recommended from one sensor", recommended.why)
         setting = recommended.way
         strains = ", ".join(f"{percent:g}" for percent in setting.strains_percent)
         words = setting.knobs | {"strains": strains, "trials": plural(setting.trials, "time")}
-        facts = [("Recommended", _SETTING.format_map(words))]
+        facts = [("Recommended" if recommended.seeds > 1 else "Setting to look at", _SETTING.format_map(words))]
     counts = {clock: sum(point.clock is clock for point in points) for clock in TimeBasis}
     facts += [
         ("Settings of the station", str(counts[TimeBasis.STATION])),
@@ -104,32 +103,34 @@ def _how_to_read(frontier: Frontier) -> Iterator[Block]:
     if any("force_error" in point.accuracy for point in frontier.points):
 
         def draw() -> str:
-            from cbsr_qa.studies.frontier.figures import station_svg  # loads matplotlib
+            from cbsr_qa.studies.frontier.figures import draw_station  # loads matplotlib
 
-            return station_svg(frontier.points, frontier.recommended)
+            return draw_station(frontier.points, frontier.recommended)
 
         yield Figure(_PLOT, _PLOT_ALTERNATIVE, draw)
 
 
 def _series(frontier: Frontier, clock: TimeBasis, series: str) -> Iterator[Block]:
     points = [point for point in frontier.points if point.clock is clock and point.series == series]
-    columns, rows = table_of(points)
+    columns, rows = tabulate_points(points)
     texts = {knob for knob in points[0].knobs if any(isinstance(point.knobs.get(knob), str) for point in points)}
     first = sum(knob in texts for knob in _varying_knobs(points)[:1])  # names are left-aligned
-    seeds = points[0].seeds
-    repetitions = (
-        plural(seeds, "repetition").capitalize() if clock is TimeBasis.COMPUTER else f"Means of {seeds} sensors"
-    )
-    caption = _SERIES.format(repetitions=repetitions)
-    if clock is TimeBasis.STATION and seeds < 2:
-        caption = _ONE_SENSOR
-    yield text_table(caption, columns, rows, range(first, len(columns) - 1))
-    if alike := alike_in(points, frontier.points):
+    yield text_table(_caption(clock, points[0].seeds), columns, rows, range(first, len(columns) - 1))
+    if alike := describe_common_knobs(points, frontier.points):
         yield Paragraph(_ALIKE.format(knobs=alike), "note")
-    yield from (Paragraph(f"{note}.", "note") for note in notes_of(points))
+    yield from (Paragraph(f"{note}.", "note") for note in list_notes(points))
 
 
-def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
+def _caption(clock: TimeBasis, seeds: int) -> str:
+    if clock is TimeBasis.STATION and seeds < 2:
+        return _ONE_SENSOR
+    means = f"Means of {seeds} sensors"
+    return _SERIES.format(
+        repetitions=means if clock is TimeBasis.STATION else plural(seeds, "repetition").capitalize()
+    )
+
+
+def tabulate_points(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]:
     """Columns and rows of one series: differing knobs, values, cost, and whether it is worth it."""
     knobs = _varying_knobs(points)
     values = list(dict.fromkeys(name for point in points for name in point.accuracy))
@@ -146,7 +147,7 @@ def table_of(points: Sequence[Point]) -> tuple[list[str], list[tuple[str, ...]]]
     return [*names, "time", "worth it"], rows
 
 
-def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
+def describe_common_knobs(members: Sequence[Point], points: Sequence[Point]) -> str:
     """Knobs left out of a series' table because they are constant in it, though other series vary them."""
     varying = _varying_knobs(members)
     constant_knobs = {
@@ -158,7 +159,7 @@ def alike_in(members: Sequence[Point], points: Sequence[Point]) -> str:
     return _knobs(constant_knobs)
 
 
-def notes_of(members: Sequence[Point]) -> list[str]:
+def list_notes(members: Sequence[Point]) -> list[str]:
     """Notes on rows of one table, each with the knobs that name its row; only once if all share it."""
     if len({point.note for point in members}) == 1:
         return [members[0].note] if members[0].note else []

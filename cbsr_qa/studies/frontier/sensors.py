@@ -118,6 +118,6 @@ def _configuration(recipe: Mapping[str, Any], seed: int, frame_period_s: float) 
     return configuration_of(station, recipe, material, seed=seed)
 
 
-def analysis_of(recipe: Mapping[str, Any]) -> AnalysisSettings:
+def load_analysis(recipe: Mapping[str, Any]) -> AnalysisSettings:
     """Return the settings of a recipe document."""
     return load_recipe(dict(recipe)).value.analysis

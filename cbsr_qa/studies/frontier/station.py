@@ -18,7 +18,7 @@ from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.sensors import analyse_run, analysis_of, simulate_sensor
+from cbsr_qa.studies.frontier.sensors import analyse_run, load_analysis, simulate_sensor
 from cbsr_qa.studies.frontier.setting import (
     FARTHEST,
     GRID,
@@ -28,7 +28,7 @@ from cbsr_qa.studies.frontier.setting import (
     Setting,
     phase_of_test_loads,
 )
-from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, errors_of, select_loads
+from cbsr_qa.studies.frontier.trial import CHOICES, UNITS, measure_errors, select_loads
 from cbsr_qa.studies.frontier.worth import mark_worth
 from cbsr_qa.studies.sweep import Work
 
@@ -69,7 +69,7 @@ class Tried:
         finite_numbers(list(self.errors.values()), "errors")
 
 
-def parts_of_paper() -> Ways:
+def list_parts_of_paper() -> Ways:
     """Parts of the paper's campaign, beginning with the whole."""
     return [
         ("strains and trials", replace(PAPER, strains_percent=strains, trials=trials))
@@ -78,7 +78,7 @@ def parts_of_paper() -> Ways:
     ]
 
 
-def parts_of_even() -> Ways:
+def list_parts_of_even() -> Ways:
     """Parts of thirty places held for a minute, beginning with the whole."""
     short = [
         replace(EVEN, hold_s=hold_s, predicted=predicted)
@@ -89,7 +89,7 @@ def parts_of_even() -> Ways:
     return [*(("hold", setting) for setting in (EVEN, *short)), *frames]
 
 
-def choices_of_even() -> Ways:
+def list_choices_of_even() -> Ways:
     """Ways to choose fewer of the thirty places."""
     return [
         ("choice of places", replace(EVEN, places=count, choice=choice))
@@ -102,7 +102,7 @@ def choices_of_even() -> Ways:
 _SHORT: Final = Setting(16, hold_s=15.0, rest_s=5.0, predicted=True)
 
 
-def ways_by_simulation() -> Ways:
+def list_simulated_ways() -> Ways:
     """Ways with other rests or frame times; one of them belongs to several series."""
     rests = [("rest", replace(_SHORT, rest_s=rest_s)) for rest_s in (5.0, 15.0, 30.0)]
     places = [("places", replace(_SHORT, places=count)) for count in (9, 12, 16, 20, 26)]
@@ -111,29 +111,29 @@ def ways_by_simulation() -> Ways:
     return [*rests, *places, *hold, *averaging]
 
 
-def quick_ways(places: int) -> Ways:
+def list_quick_ways(places: int) -> Ways:
     """Ways of the quick sweep with short holds, predicted and averaged, beginning with the whole."""
     return [("places", replace(_SHORT, places=places, predicted=predicted)) for predicted in (True, False)]
 
 
-def station_work(*, quick: bool) -> Iterator[Work]:
+def plan_station_work(*, quick: bool) -> Iterator[Work]:
     """Yield simulations, longest first, whose results are :class:`Tried`."""
     sweep, seeds = f"station {_VERSION}/{cbsr_qa.__version__}", QUICK_SEEDS if quick else SEEDS
     for seed in seeds:
         # The quick sweep takes up the pieces of the whole one, and the other way round.
-        paper = partial(try_ways, PAPER, seed, parts_of_paper(), whole_holds=False)
+        paper = partial(try_ways, PAPER, seed, list_parts_of_paper(), whole_holds=False)
         yield Work(f"{sweep}/paper/full/{seed}", f"the paper's campaign, sensor {seed}", paper)
         if quick:
             for places in (16, 9):
-                run = partial(try_ways, replace(_SHORT, places=places), seed, quick_ways(places))
+                run = partial(try_ways, replace(_SHORT, places=places), seed, list_quick_ways(places))
                 yield Work(f"{sweep}/quick/{places}/{seed}", f"{places} places, sensor {seed}", run)
         else:
-            run = partial(try_ways, EVEN, seed, [*parts_of_even(), *choices_of_even()])
+            run = partial(try_ways, EVEN, seed, [*list_parts_of_even(), *list_choices_of_even()])
             yield Work(f"{sweep}/even/full/{seed}", f"places held for a minute, sensor {seed}", run)
     if quick:
         return
     series_by_setting: dict[Setting, list[str]] = {}
-    for series, setting in ways_by_simulation():
+    for series, setting in list_simulated_ways():
         series_by_setting.setdefault(setting, []).append(series)
     for setting, names in series_by_setting.items():
         for seed in seeds:
@@ -143,9 +143,9 @@ def station_work(*, quick: bool) -> Iterator[Work]:
             yield Work(key, f"{names[0]}: {setting.places} places, sensor {seed}", run)
 
 
-def confirming_work(setting: Setting) -> Iterator[Work]:
+def plan_confirming_work(setting: Setting) -> Iterator[Work]:
     """Yield simulations of a chosen setting on sensors that had no part in the choice; results are :class:`Tried`."""
-    whole_holds = setting not in {part for _, part in parts_of_paper()}
+    whole_holds = setting not in {part for _, part in list_parts_of_paper()}
     for seed in NEW_SEEDS:
         run = partial(try_ways, setting, seed, [("new sensors", setting)], whole_holds=whole_holds)
         key = f"station {_VERSION}/{cbsr_qa.__version__}/new/{setting}/{seed}"
@@ -171,7 +171,7 @@ class _Simulated:
         recipe = setting.recipe()
         recipe["phases"].append(phase_of_test_loads(TEST_LOADS))
         self._record, self._design = simulate_sensor(recipe, seed, setting.frame_period_s, whole_holds)
-        run = analyse_run(self._record, analysis_of(recipe))
+        run = analyse_run(self._record, load_analysis(recipe))
         self._seen = {(setting.hold_s, setting.steady_frames): select_loads(run, lambda load: load.phase != HELD_OUT)}
         self._held_out = select_loads(run, lambda load: load.phase == HELD_OUT)
 
@@ -181,7 +181,7 @@ class _Simulated:
             run = self._observe(setting)
             chosen = self._load_filter(run, setting)
             setting_run = select_loads(run, lambda load: load.phase != GRID or chosen(load.record))
-            return errors_of(setting_run, self._held_out, self._design), ""
+            return measure_errors(setting_run, self._held_out, self._design), ""
         except CbsrError as refusal:
             return {}, refusal.reason
 
@@ -197,7 +197,7 @@ class _Simulated:
     def _observe(self, setting: Setting) -> RunObservation:
         """The loads of the run as a setting would have held and averaged them."""
         key = (setting.hold_s, setting.steady_frames)
-        analysis = analysis_of(setting.recipe())
+        analysis = load_analysis(setting.recipe())
         if key not in self._seen:
             run = analyse_run(shorten_holds(self._record, setting.hold_s), analysis)
             self._seen[key] = select_loads(run, lambda load: load.phase != HELD_OUT)
@@ -225,7 +225,7 @@ def shorten_holds(record: RunRecord, hold_s: float) -> RunRecord:
     return replace(record, phases=phases)
 
 
-def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
+def combine_trials(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:
     """Combine the trials of each setting, with its station time [s], and mark those worth it.
 
     Values are means over the sensors, of a sensor's root mean square error or of the size of its relative error. A
@@ -235,10 +235,10 @@ def station_points(trials: Sequence[Tried], seconds: Callable[[Setting], float])
     for tried in trials:
         groups.setdefault((tried.series, tried.setting), []).append(tried)
     points = [_point(series, setting, group, seconds(setting)) for (series, setting), group in groups.items()]
-    return list(zip((setting for _, setting in groups), worth_the_station(points), strict=True))
+    return list(zip((setting for _, setting in groups), mark_worth_of_station(points), strict=True))
 
 
-def worth_the_station(points: Sequence[Point]) -> list[Point]:
+def mark_worth_of_station(points: Sequence[Point]) -> list[Point]:
     """Mark which points no other of any series equals in less station time; settings refused on a sensor are not."""
     return mark_worth(points, lambda point: point.station_s, ["force_error"], across_series=True)
 

@@ -7,13 +7,13 @@ from typing import Final, TypeVar
 
 from cbsr_qa.config.paths import var_folder, writable_folder
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
+from cbsr_qa.studies.frontier.computer.sweeps import mark_worth_of_computer, plan_computer_work
 from cbsr_qa.studies.frontier.files import Files, write_recipe
 from cbsr_qa.studies.frontier.point import Point, TimeBasis, restore
 from cbsr_qa.studies.frontier.recommend import Recommendation, Target, recommend
 from cbsr_qa.studies.frontier.sensors import station_seconds
 from cbsr_qa.studies.frontier.setting import Setting
-from cbsr_qa.studies.frontier.station import PAPER, Tried, confirming_work, station_points, station_work
+from cbsr_qa.studies.frontier.station import PAPER, Tried, combine_trials, plan_confirming_work, plan_station_work
 from cbsr_qa.studies.sweep import Kept, Tell, Work, compute_pieces
 
 #: Processes of timed work, which must not share a core with others.
@@ -67,8 +67,8 @@ def frontier(
         return [restore(kind, document) for documents in pieces.values() for document in documents]
 
     def confirm(setting: Setting) -> Point:
-        trials = swept(Tried, confirming_work(setting), "station.jsonl", _STATION_PROCESSES)
-        ((_, point),) = station_points(trials, station_seconds)
+        trials = swept(Tried, plan_confirming_work(setting), "station.jsonl", _STATION_PROCESSES)
+        ((_, point),) = combine_trials(trials, station_seconds)
         return point
 
     if fresh:
@@ -77,10 +77,12 @@ def frontier(
     station_trials: list[tuple[Setting, Point]] = []
     computer_points: list[Point] = []
     if TimeBasis.STATION in clocks:
-        trials = swept(Tried, station_work(quick=quick), "station.jsonl", _STATION_PROCESSES)
-        station_trials = station_points(trials, station_seconds)
+        trials = swept(Tried, plan_station_work(quick=quick), "station.jsonl", _STATION_PROCESSES)
+        station_trials = combine_trials(trials, station_seconds)
     if TimeBasis.COMPUTER in clocks:
-        computer_points = worth_their_time(swept(Point, computer_work(quick=quick), "computer.jsonl", _ALONE))
+        computer_points = mark_worth_of_computer(
+            swept(Point, plan_computer_work(quick=quick), "computer.jsonl", _ALONE)
+        )
     recommended = _recommend(station_trials, target, confirm)
     if files.recipe is not None:
         write_recipe(recommended, files.recipe)

@@ -43,7 +43,7 @@ UNITS: Final = {
 }
 
 
-def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign) -> dict[str, float]:
+def measure_errors(run: RunObservation, held_out: RunObservation, design: SheetDesign) -> dict[str, float]:
     """Calibrate with a run and return its errors; values that cannot be determined are absent.
 
     Parameters
@@ -72,7 +72,7 @@ def errors_of(run: RunObservation, held_out: RunObservation, design: SheetDesign
     is_near = np.hypot(*places.T) <= RADIUS_MM
     mapped = np.exp(interpolate(model, model.log_response, places[is_near]))
     errors["map_error"] = _rms(mapped / mapped.mean() / (truth[is_near] / truth[is_near].mean()) - 1)
-    traces = hold_traces(run, long_holds(run))
+    traces = hold_traces(run, select_long_holds(run))
     with suppress(CbsrError):
         gauge, _ = gauge_factor(run, force, traces=traces)
         errors["gauge_factor_error"] = gauge.value / (material.against_strain.slope.value * float(truth.mean())) - 1
@@ -89,7 +89,7 @@ def select_loads(run: RunObservation, wanted: Callable[[LoadObservation], bool])
     return replace(run, loads=tuple(load for load in run.loads if wanted(load)))
 
 
-def long_holds(run: RunObservation) -> list[LoadObservation]:
+def select_long_holds(run: RunObservation) -> list[LoadObservation]:
     """Select loads that determine the sensor's relaxation: those held longest."""
     hold_times_s = [load.record.release_start_s - load.record.hold_start_s for load in run.loads]
     return [load for load, seconds in zip(run.loads, hold_times_s, strict=True) if seconds >= 0.9 * max(hold_times_s)]
@@ -133,7 +133,7 @@ _AT_A_TIME: Final = 3
 _APART_MM: Final = 15.0
 
 
-def least_sure_first(run: RunObservation, count: int) -> list[int]:
+def choose_least_sure(run: RunObservation, count: int) -> list[int]:
     """Choose places of a run's grid, each where the map learned so far is least certain.
 
     Returns
@@ -145,7 +145,7 @@ def least_sure_first(run: RunObservation, count: int) -> list[int]:
     CbsrError
         If no map can be learned from the first loads.
     """
-    places = grid_places(run)
+    places = list_grid_places(run)
     chosen = farthest_first(places, min(FIRST, count))
     while len(chosen) < count:
         force = learn_without_tests(select_loads(run, lambda load: load.phase != GRID or load.record.index in chosen))
@@ -169,14 +169,14 @@ def _least_certain_places(places: Array, variance: Array, chosen: Sequence[int],
 
 def farthest(run: RunObservation, count: int) -> list[int]:
     """Choose places of a run's grid, each as far as possible from those before it; indices of its loads."""
-    return farthest_first(grid_places(run), count)
+    return farthest_first(list_grid_places(run), count)
 
 
-def grid_places(run: RunObservation) -> Array:
+def list_grid_places(run: RunObservation) -> Array:
     """Places (n, 2) of the grid's loads, in order."""
     loads = [load.record.load for load in run.loads if load.phase == GRID]
     return np.array([(load.x_mm, load.y_mm) for load in loads]).reshape(-1, 2)
 
 
 #: Ways to choose fewer places than a run pressed.
-CHOICES: Final = {FARTHEST: farthest, LEAST_SURE: least_sure_first}
+CHOICES: Final = {FARTHEST: farthest, LEAST_SURE: choose_least_sure}

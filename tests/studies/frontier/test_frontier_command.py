@@ -8,7 +8,7 @@ from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.studies.frontier import study as app
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis
-from cbsr_qa.studies.frontier.report import alike_in, notes_of
+from cbsr_qa.studies.frontier.report import describe_common_knobs, list_notes
 from cbsr_qa.studies.frontier.setting import FARTHEST, Setting
 from cbsr_qa.studies.frontier.station import PAPER, Tried
 from cbsr_qa.studies.sweep import Work
@@ -41,11 +41,11 @@ def sweeps(monkeypatch, tmp_path):
     worked = []
     station = Work("all", "all of it", lambda: worked.append("station") or trials())
     computer = Work("images", "images", lambda: worked.append("computer") or [measured()])
-    monkeypatch.setattr(app, "station_work", lambda quick: [station])
+    monkeypatch.setattr(app, "plan_station_work", lambda quick: [station])
     monkeypatch.setattr(
-        app, "confirming_work", lambda setting: [Work(f"new {setting}", "new", partial(new, setting))]
+        app, "plan_confirming_work", lambda setting: [Work(f"new {setting}", "new", partial(new, setting))]
     )
-    monkeypatch.setattr(app, "computer_work", lambda quick: [computer])
+    monkeypatch.setattr(app, "plan_computer_work", lambda quick: [computer])
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     return worked
 
@@ -169,8 +169,8 @@ def test_knobs_that_one_row_hides_are_those_that_other_tables_set_otherwise():
 
     rest = [point("rest", places=16, hold_s=15.0, frames=4)]
     hold = [point("hold", places=16, hold_s=60.0, frames=4), point("hold", places=16, hold_s=15.0, frames=4)]
-    assert alike_in(rest, [*rest, *hold]) == "hold 15 s"
-    assert alike_in(hold, [*rest, *hold]) == ""
+    assert describe_common_knobs(rest, [*rest, *hold]) == "hold 15 s"
+    assert describe_common_knobs(hold, [*rest, *hold]) == ""
 
 
 def test_notes_name_the_row_they_are_on():
@@ -178,11 +178,11 @@ def test_notes_name_the_row_they_are_on():
         knobs = {"method": method, "size_mm": size}
         return Point(TimeBasis.COMPUTER, "mesh", knobs, {}, 1.0, None, 1, note)
 
-    assert notes_of([point(6, "527 elements"), point(3, "2025 elements"), point(2, "")]) == [
+    assert list_notes([point(6, "527 elements"), point(3, "2025 elements"), point(2, "")]) == [
         "size 6 mm: 527 elements",
         "size 3 mm: 2025 elements",
     ]
-    assert notes_of([point(6, "208 readings"), point(3, "208 readings")]) == ["208 readings"]
+    assert list_notes([point(6, "208 readings"), point(3, "208 readings")]) == ["208 readings"]
 
 
 def test_kept_pieces_of_somebody_else_are_refused_by_name(sweeps, capsys, tmp_path):

@@ -17,11 +17,11 @@ from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, phase_of_
 from cbsr_qa.studies.frontier.station import (
     EVEN,
     PAPER,
-    choices_of_even,
-    parts_of_even,
-    parts_of_paper,
-    quick_ways,
-    ways_by_simulation,
+    list_choices_of_even,
+    list_parts_of_even,
+    list_parts_of_paper,
+    list_quick_ways,
+    list_simulated_ways,
 )
 from cbsr_qa.studies.simulated import configuration_of
 
@@ -135,15 +135,15 @@ def test_held_out_loads_are_drawn_by_themselves():
 
 
 def test_every_setting_of_the_sweeps_is_within_what_is_simulated_for_it():
-    for _, setting in parts_of_paper():
+    for _, setting in list_parts_of_paper():
         assert set(setting.strains_percent) <= set(PAPER.strains_percent)
         assert setting.trials <= PAPER.trials
         assert (setting.places, setting.hold_s, setting.rest_s) == (PAPER.places, PAPER.hold_s, PAPER.rest_s)
-    for _, setting in (*parts_of_even(), *choices_of_even()):
+    for _, setting in (*list_parts_of_even(), *list_choices_of_even()):
         assert setting.places <= EVEN.places
         assert setting.hold_s <= EVEN.hold_s
         assert (setting.strains_percent, setting.rest_s) == (EVEN.strains_percent, EVEN.rest_s)
-    whole = [*parts_of_paper(), *parts_of_even(), *ways_by_simulation()]
+    whole = [*list_parts_of_paper(), *list_parts_of_even(), *list_simulated_ways()]
     assert len(set(whole)) == len(whole)
-    for _, setting in {*whole, *quick_ways(9), *quick_ways(16)}:
+    for _, setting in {*whole, *list_quick_ways(9), *list_quick_ways(16)}:
         assert dry(setting).violations == ()

@@ -14,11 +14,11 @@ from cbsr_qa.studies.frontier.station import (
     PAPER,
     SHIPPED,
     Tried,
-    parts_of_paper,
-    quick_ways,
-    station_points,
-    station_work,
-    worth_the_station,
+    combine_trials,
+    list_parts_of_paper,
+    list_quick_ways,
+    mark_worth_of_station,
+    plan_station_work,
 )
 from cbsr_qa.studies.frontier.trial import UNITS
 
@@ -47,7 +47,7 @@ def tried(seed, setting=SETTING, why="", series="a", **errors):
 
 
 def only_point(*group, seconds=600.0):
-    ((setting, point),) = station_points(group, lambda setting: seconds)
+    ((setting, point),) = combine_trials(group, lambda setting: seconds)
     assert setting == SETTING
     return point
 
@@ -87,7 +87,7 @@ def test_values_are_means_over_sensors_whatever_their_sign():
 
 
 def test_the_papers_campaign_and_the_shipped_recipe_are_named():
-    ways = station_points([tried(1, PAPER), tried(1, SHIPPED), tried(1)], lambda setting: 600.0)
+    ways = combine_trials([tried(1, PAPER), tried(1, SHIPPED), tried(1)], lambda setting: 600.0)
     assert [point.note for _, point in ways] == ["the paper's campaign", "the shipped recipe nine-locations", ""]
 
 
@@ -100,11 +100,11 @@ def test_the_shipped_recipe_is_that_of_the_folder():
 
 
 def test_the_quick_sweep_shows_the_shipped_recipe_the_papers_campaign_and_six_more():
-    quick = [*parts_of_paper(), *quick_ways(16), *quick_ways(9)]
+    quick = [*list_parts_of_paper(), *list_quick_ways(16), *list_quick_ways(9)]
     settings = {setting for _, setting in quick}
     assert {PAPER, SHIPPED} < settings
     assert len(settings) >= 8
-    assert len(list(station_work(quick=True))) == 3  # simulations of one sensor
+    assert len(list(plan_station_work(quick=True))) == 3  # simulations of one sensor
 
 
 def test_one_sensor_has_no_standard_error_and_nothing_at_all_neither():
@@ -128,7 +128,7 @@ def test_a_figure_that_one_sensor_could_not_tell_is_left_out_and_named():
 def test_settings_are_apart_by_series_and_by_every_choice():
     short = Setting(9, hold_s=15.0)
     group = [tried(1, force_error=1.0), tried(2, force_error=1.0), tried(1, short, force_error=2.0)]
-    points = station_points([*group, tried(1, series="b", force_error=3.0)], lambda setting: setting.hold_s)
+    points = combine_trials([*group, tried(1, series="b", force_error=3.0)], lambda setting: setting.hold_s)
     assert [(setting, point.series, point.seeds, point.station_s) for setting, point in points] == [
         (SETTING, "a", 2, 60.0),
         (short, "a", 1, 15.0),
@@ -138,12 +138,12 @@ def test_settings_are_apart_by_series_and_by_every_choice():
 
 def test_what_is_worth_the_station_is_compared_over_all_series():
     def point(minutes, force, series="a", mapped=0.02, **more):
-        return station_points(
+        return combine_trials(
             [tried(1, Setting(3, rest_s=minutes), series=series, force_error=force, map_error=mapped, **more)],
             lambda setting: 60 * minutes,
         )[0][1]
 
-    refused = station_points([tried(1, why="no")], lambda setting: 1.0)[0][1]
+    refused = combine_trials([tried(1, why="no")], lambda setting: 1.0)[0][1]
     cheap, dear, better = point(10, 0.2), point(20, 0.3, "b"), point(30, 0.1, "b", settling_error=9.0)
-    assert [one.pareto for one in worth_the_station([dear, cheap, refused, better])] == [False, True, False, True]
-    assert [one.pareto for one in worth_the_station([refused])] == [False]
+    assert [one.pareto for one in mark_worth_of_station([dear, cheap, refused, better])] == [False, True, False, True]
+    assert [one.pareto for one in mark_worth_of_station([refused])] == [False]

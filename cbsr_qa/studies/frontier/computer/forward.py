@@ -63,7 +63,7 @@ def fastest_s(run: Callable[[], object], repeats: int = REPEATS) -> float:
     return min(timer.repeat(repeats, calls)) / calls
 
 
-def forward_point(electrodes: str, order: int, size_mm: float) -> Point:
+def measure_forward(electrodes: str, order: int, size_mm: float) -> Point:
     """Measure one mesh against exact voltages of the 100 mm disc.
 
     Errors are ‖V − V_exact‖/‖V_exact‖ over the 208 readings that touch no driven electrode. With electrodes on the

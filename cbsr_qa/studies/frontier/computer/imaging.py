@@ -86,7 +86,7 @@ def list_methods() -> Iterator[MethodSetting]:
         yield MethodSetting(name, (), next((option for option in FACTORS if option in known_options), ""))
 
 
-def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
+def measure_method(method: MethodSetting, factor: float, seeds: int) -> Point:
     """Measure one method with one λ on the base scene's nine loads; a refusal is a point with the reason as its note.
 
     ``compute_s`` is the image of one frame, ``setup_s`` preparing the method for an existing problem.
@@ -100,7 +100,7 @@ def method_point(method: MethodSetting, factor: float, seeds: int) -> Point:
     return _measure_method(SERIES_METHODS, knobs, _problem(seeds=seeds), partial(_prepare, method, factor), seeds)
 
 
-def mesh_point(method: MethodSetting, image_size_mm: float, seeds: int) -> Point:
+def measure_mesh(method: MethodSetting, image_size_mm: float, seeds: int) -> Point:
     """Measure one density of the image's mesh; ``setup_s`` is mesh, Jacobian, and the method with its own λ."""
     problem = _problem(image_size_mm, seeds)
     _, jacobian_s = time_call(partial(_linearise, base_scene_readings(seeds).sensor_type, image_size_mm))
@@ -191,7 +191,7 @@ def _prepare_smoothed(method: MethodSetting, value: float, problem: ImagingProbl
         return make_method(method, components=component_count + 1).prepare(problem)
 
 
-def precision_point(precision: str, batch: int) -> Point:
+def measure_precision(precision: str, batch: int) -> Point:
     """Measure the matrix of the shipped recipes on blocks of simulated changes, in float32 or float64.
 
     ``compute_s`` is the time of one frame of a block, rounding of the readings included. The error is the largest

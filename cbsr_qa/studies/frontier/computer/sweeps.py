@@ -10,7 +10,7 @@ import scipy
 import cbsr_qa
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.studies.frontier.computer.forward import SERIES_FORWARD, forward_point
+from cbsr_qa.studies.frontier.computer.forward import SERIES_FORWARD, measure_forward
 from cbsr_qa.studies.frontier.computer.imaging import (
     FACTORS,
     RECIPES_METHOD,
@@ -19,9 +19,9 @@ from cbsr_qa.studies.frontier.computer.imaging import (
     SERIES_PRECISION,
     MethodSetting,
     list_methods,
-    mesh_point,
-    method_point,
-    precision_point,
+    measure_mesh,
+    measure_method,
+    measure_precision,
 )
 from cbsr_qa.studies.frontier.point import Knob, Point
 from cbsr_qa.studies.frontier.worth import mark_worth
@@ -52,15 +52,15 @@ _IMAGE_SIZES_MM: Final[Mapping[bool, Mapping[MethodSetting, tuple[float, ...]]]]
 _VERSION: Final = 2  # of the measured quantity: points of different versions are not comparable
 
 
-def computer_work(*, quick: bool = False) -> Iterator[Work]:
+def plan_computer_work(*, quick: bool = False) -> Iterator[Work]:
     """Yield measurements of computing time, whose result is one point each; for the quick sweep a few of a series."""
     for (electrodes, order), sizes_mm in _SIZES_MM[quick].items():
         for size_mm in sizes_mm:
             knobs: dict[str, Knob] = {"element_order": order, "element_size_mm": size_mm}
-            yield _work(SERIES_FORWARD[electrodes], knobs, partial(forward_point, electrodes, order, size_mm))
+            yield _work(SERIES_FORWARD[electrodes], knobs, partial(measure_forward, electrodes, order, size_mm))
     for precision in ("float32", "float64"):
         for batch in _BATCHES[quick]:
-            run = partial(precision_point, precision, batch)
+            run = partial(measure_precision, precision, batch)
             yield _work(SERIES_PRECISION, {"precision": precision, "batch": batch}, run)
     seeds = _SEEDS[quick]
     all_methods = (
@@ -69,15 +69,15 @@ def computer_work(*, quick: bool = False) -> Iterator[Work]:
         for factor in sorted((1.0, *FACTORS.get(method.smoothing, ())))
     )
     for method, factor in _QUICK_METHODS if quick else all_methods:
-        run = partial(method_point, method, factor, seeds)
+        run = partial(measure_method, method, factor, seeds)
         yield _method_work(SERIES_METHODS, method, run, seeds, smoothing_over_own=factor)
     for method, sizes_mm in _IMAGE_SIZES_MM[quick].items():
         for size_mm in sizes_mm:
-            run = partial(mesh_point, method, size_mm, seeds)
+            run = partial(measure_mesh, method, size_mm, seeds)
             yield _method_work(f"{SERIES_MESHES}, {method.name}", method, run, seeds, image_size_mm=size_mm)
 
 
-def worth_their_time(points: Sequence[Point]) -> list[Point]:
+def mark_worth_of_computer(points: Sequence[Point]) -> list[Point]:
     """Mark which points are undominated within errors among those of their series.
 
     Settings with one matrix of the same size do the same arithmetic: measured differences are chance, and each gets

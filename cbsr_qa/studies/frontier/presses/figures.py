@@ -15,7 +15,7 @@ _TICKS: Final = tuple(digit * 10.0**power for power in range(-2, 5) for digit in
 
 
 @draw_svg
-def presses_figure(
+def draw_press_errors(
     series: Sequence[tuple[str, Sequence[Point]]], target_mm: float | None = None, guess_mm: float | None = None
 ) -> Canvas:
     """Draw error of place and coverage against presses, each with standard errors.

@@ -14,20 +14,22 @@ from typing import Final
 import numpy as np
 from scipy.stats import f as fisher, t as student
 
-from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.numbers import Array, Mask
 
 #: Least number of points: three parameters, and one point to contradict them.
 MIN_POINTS: Final = 4
 #: Probability of deviations as large as a law's own, below which no law fits.
 _FITS: Final = 0.05
-#: Standard deviation of real errors from the best law, as a share of the error.
-_DEVIATION: Final = 0.02
+#: Standard deviation of real errors from the best law, as a share of the error: those of two real skins (table of
+#: docs/explanation/place.md) deviate by 2 to 4 %.
+_DEVIATION: Final = 0.03
 #: Confidence of the limits.
 _CONFIDENCE: Final = 0.95
-#: Range of exponents b, and of the floor relative to the falling part at the largest number.
+#: Range of exponents b, and of the floor relative to the falling part at the largest number (the least is as good as
+#: none).
 _EXPONENTS: Final = (0.02, 2.0)
-_FLOORS: Final = (1e-3, 1e3)
-#: Exponents and floors that are tried, and how often the tried ones are drawn closer.
+_FLOORS: Final = (1e-4, 1e3)
+#: Number of exponents and floors that are tried, and how often the grid zooms in.
 _TRIED: Final = (160, 120)
 _REFINEMENTS: Final = 3
 
@@ -146,25 +148,21 @@ def _fit(curve: LearningCurve) -> FittedLaws | None:
 def _search(
     measure: Callable[[Array, Array], tuple[Array, Array]], allowed: float
 ) -> tuple[Array, Array, Array, Array]:
-    """Misfits and log s over a grid of exponents and floors, drawn closer around what may fit."""
-    exponents = np.geomspace(*_EXPONENTS, _TRIED[0])
-    floors = np.append(0.0, np.geomspace(*_FLOORS, _TRIED[1]))
+    """Return misfits and log s over a grid of exponents and floors that zooms in on what may fit."""
+    exponents, floors = np.geomspace(*_EXPONENTS, _TRIED[0]), np.geomspace(*_FLOORS, _TRIED[1])
     for _ in range(_REFINEMENTS):
         misfits, _ = measure(exponents, floors)
         near = misfits <= misfits.min() + 2 * allowed
-        exponents = _draw_closer(exponents, np.flatnonzero(near.any(axis=1)), _TRIED[0])
-        with_none = floors[0] == 0.0
-        columns = np.flatnonzero(near.any(axis=0)[1:] if with_none else near.any(axis=0))
-        kept = _draw_closer(floors[1:] if with_none else floors, columns, _TRIED[1])
-        floors = np.append(0.0, kept) if with_none and near[:, :2].any() else kept
+        exponents, floors = _zoom(exponents, near.any(axis=1)), _zoom(floors, near.any(axis=0))
     misfits, log_scale = measure(exponents, floors)
     return misfits, log_scale, exponents, floors
 
 
-def _draw_closer(values: Array, near: Indices, count: int) -> Array:
-    """Return values between those just outside of the near ones."""
-    first, last = (int(near.min()), int(near.max())) if len(near) else (0, 0)
-    return np.geomspace(values[max(first - 1, 0)], values[min(last + 1, len(values) - 1)], count)
+def _zoom(values: Array, near: Mask) -> Array:
+    """Return as many values between those just outside of the near ones."""
+    indices = np.flatnonzero(near)
+    first, last = max(indices[0] - 1, 0), min(indices[-1] + 1, len(values) - 1)
+    return np.geomspace(values[first], values[last], len(values))
 
 
 def _log_shape(place: Array | float, power: Array | float, exponent: Array, floor: Array) -> Array:

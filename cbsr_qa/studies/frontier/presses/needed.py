@@ -97,8 +97,8 @@ def forecast_presses(curve: LearningCurve | None, target_mm: float) -> tuple[Nee
     largest = curve.numbers[-1]
     if low > _NEVER * largest:
         least, _, most = laws.forecast_error(_NEVER * largest)
-        levels = f"errors level off between {least:.3g} and {most:.3g} mm (95 % confidence)"
-        return Needed(None, None, None, False), f"more presses of this kind cannot reach it: {levels}"
+        limits_mm = f"{_NEVER:.0f} times as many would leave {least:.3g} to {most:.3g} mm (95 % confidence)"
+        return Needed(None, None, None, False), f"more presses of this kind cannot reach it: even {limits_mm}"
     furthest = _FURTHEST * largest
     presses = _round(best, round) if best <= furthest else None
     if high <= furthest:

@@ -8,7 +8,7 @@ from cbsr_qa.report.tables import duration, text_table, with_uncertainty
 from cbsr_qa.studies.frontier.point import Accuracy, Point
 from cbsr_qa.studies.frontier.presses.needed import COVERED, PLACE
 from cbsr_qa.studies.frontier.presses.study import AT_RANDOM, IN_ORDER
-from cbsr_qa.studies.frontier.report import notes_of
+from cbsr_qa.studies.frontier.report import list_notes
 from cbsr_qa.studies.frontier.study import Frontier
 
 _CAPTION: Final = (
@@ -30,7 +30,7 @@ _READING: Final = (
 )
 
 
-def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None) -> CommandOutcome[Frontier]:
+def lay_out_presses(frontier: Frontier, name: str, target_mm: float | None = None) -> CommandOutcome[Frontier]:
     """Lay out accuracy against the number of presses of a recording called ``name``."""
     series = [
         (series_name, [point for point in frontier.points if point.series == series_name])
@@ -39,9 +39,9 @@ def press_outcome(frontier: Frontier, name: str, target_mm: float | None = None)
     ]
 
     def draw() -> str:
-        from cbsr_qa.studies.frontier.presses.figures import presses_figure  # loads matplotlib
+        from cbsr_qa.studies.frontier.presses.figures import draw_press_errors  # loads matplotlib
 
-        return presses_figure(series, target_mm, frontier.guess_mm)
+        return draw_press_errors(series, target_mm, frontier.guess_mm)
 
     figure = Figure(_FIGURE, "Errors and coverage against the number of presses; the tables have the numbers.", draw)
     sections = (
@@ -84,7 +84,7 @@ def _blocks(points: Sequence[Point]) -> list[Block]:
         for point in points
     ]
     table = text_table(_CAPTION, (*columns, "learning", "frame", "worth it"), rows, range(len(columns) + 2))
-    return [table, *(Paragraph(f"{note}.", "note") for note in notes_of(points))]
+    return [table, *(Paragraph(f"{note}.", "note") for note in list_notes(points))]
 
 
 def _format_accuracy(accuracy: Accuracy, scale: float = 1) -> str:

@@ -5,7 +5,7 @@ it uses no information from the presses that it locates. Registering takes half 
 a tenth of one of 400; registering once on all presses would save this time.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from typing import Final
 
@@ -46,7 +46,7 @@ _DRAWS: Final = {True: (1, 3), False: (2, 20)}
 _Draw = tuple[str, LabelledPresses, Indices, Indices]
 
 
-def press_frontier(
+def study_presses(
     labelled: LabelledPresses,
     target_mm: float | None = None,
     *,
@@ -80,39 +80,52 @@ def press_frontier(
         tell(done, len(draws), f"{len(learned)} presses, {series}")
         trials_by_draw.setdefault((series, len(learned)), []).append(_try_draw(presses, learned, located))
     tell(len(draws), len(draws), "")
-    time_s, pace_s = labelled.presses.time_s, None
-    if time_s is not None and np.ptp(time_s) > 0:
-        pace_s = float(np.median(np.diff(np.sort(time_s))))
     unchanged = int((~has_change).sum())
     note = f"{plural(unchanged, 'press', 'presses')} without a change of any reading left out" if unchanged else ""
+    pace_s = _measure_pace(labelled)
     outcomes = [_point(*key, trials, pace_s, note) for key, trials in trials_by_draw.items()]
     points = [outcome for outcome in outcomes if isinstance(outcome, Point)]
     if not points:
         raise RefusedError(f"nothing can be learned from any draw of these presses: {outcomes[0]}")
-    place_mm = labelled.presses.place_mm
-    curve = resample_errors(
-        {
-            number: completed
-            for (series, number), trials in trials_by_draw.items()
-            if series == AT_RANDOM and (completed := [trial for trial in trials if isinstance(trial, Trial)])
-        },
-        visits_of(place_mm - place_mm.mean(axis=0)),
-    )
+    curve = _resample(trials_by_draw, labelled)
     if curve is not None:
         points = [_state_resampled_error(point, curve) for point in points]
-    guess_mm = guess_error(place_mm)
+    guess_mm = guess_error(labelled.presses.place_mm)
     points = mark_worth(
         points, lambda point: float(point.knobs["presses"]) if beats_guessing(point, guess_mm) else None, [PLACE]
     )
     at_random = [point for point in points if point.series == AT_RANDOM]
     recommendation = recommend_presses(at_random, curve, target_mm, guess_mm)
-    least_mm = min(point.accuracy[PLACE].value for point in points)
-    if least_mm > DOUBTFUL_SHARE * guess_mm and (order := find_row_order(labelled.readings.changes, place_mm)):
-        recommendation = replace(recommendation, why=f"{order.words}; {recommendation.why}")
+    if min(point.accuracy[PLACE].value for point in points) > DOUBTFUL_SHARE * guess_mm:
+        order = find_row_order(labelled.readings.changes, labelled.presses.place_mm)
+        why = [] if order is None else [order.words]
+        recommendation = replace(recommendation, why="; ".join([*why, recommendation.why]))
     return Frontier(quick, tuple(points), recommendation, guess_mm)
 
 
-def numbers_of(total: int) -> list[int]:
+def _measure_pace(labelled: LabelledPresses) -> float | None:
+    """Return the median time from one press to the next; None without times."""
+    time_s = labelled.presses.time_s
+    if time_s is None or np.ptp(time_s) == 0:
+        return None
+    return float(np.median(np.diff(np.sort(time_s))))
+
+
+def _resample(
+    trials_by_draw: Mapping[tuple[str, int], Sequence[Trial | str]], labelled: LabelledPresses
+) -> LearningCurve | None:
+    """Return the errors of presses drawn at random, as far as something was learned from them."""
+    completed = {
+        number: [trial for trial in trials if isinstance(trial, Trial)]
+        for (series, number), trials in trials_by_draw.items()
+        if series == AT_RANDOM
+    }
+    return resample_errors(
+        {number: trials for number, trials in completed.items() if trials}, _number_visits(labelled)
+    )
+
+
+def list_numbers(total: int) -> list[int]:
     """Numbers of presses to learn from where there are ``total``, each about twice the one before.
 
     RefusedError if there are too few to learn from some and locate others.
@@ -131,25 +144,35 @@ def numbers_of(total: int) -> list[int]:
 
 
 def _draws(labelled: LabelledPresses, *, quick: bool) -> Iterator[_Draw]:
-    places_mm = labelled.presses.place_mm
-    visits, total = visits_of(places_mm - places_mm.mean(axis=0)), len(places_mm)
-    numbers = numbers_of(total)
+    visits, total = _number_visits(labelled), len(labelled.presses.place_mm)
     # Randomly drawn presses lie between those located, and need no drift.
     timeless = replace(labelled, presses=replace(labelled.presses, time_s=None))
-    for number in numbers:
-        for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
-            random = np.random.default_rng([*b"presses", number, split])
-            located = _draw_places(visits, _holdout_count(total), random)
-            learnable = random.permutation(np.setdiff1d(np.arange(total), located))
-            yield AT_RANDOM, timeless, learnable[:number], located[:_MAX_LOCATED]
+    for learned, located in draw_rows(visits, quick=quick):
+        yield AT_RANDOM, timeless, learned, located
     time_s = labelled.presses.time_s
     session = np.arange(total) if time_s is None else np.argsort(time_s, kind="stable")
-    early_numbers = [number for number in numbers if number <= total / 2]
+    early_numbers = [number for number in list_numbers(total) if number <= total / 2]
     for number in early_numbers[-1:] if quick else early_numbers:
         learned, latest = session[:number], session[-_holdout_count(total) :][-_MAX_LOCATED:]
         latest = latest[~np.isin(visits[latest], visits[learned])]
         if len(latest) >= _MIN_LOCATED:
             yield IN_ORDER, labelled, learned, latest
+
+
+def draw_rows(visits: Indices, *, quick: bool) -> Iterator[tuple[Indices, Indices]]:
+    """Yield rows learned from and located, of draws at random from presses (n,) with the number of their place."""
+    total = len(visits)
+    for number in list_numbers(total):
+        for split in range(int(np.clip(_LEARNED[quick] // number, *_DRAWS[quick]))):
+            random = np.random.default_rng([*b"presses", number, split])
+            located = _draw_places(visits, _holdout_count(total), random)
+            learnable = random.permutation(np.setdiff1d(np.arange(total), located))
+            yield learnable[:number], located[:_MAX_LOCATED]
+
+
+def _number_visits(labelled: LabelledPresses) -> Indices:
+    place_mm = labelled.presses.place_mm
+    return visits_of(place_mm - place_mm.mean(axis=0))
 
 
 def _holdout_count(total: int) -> int:

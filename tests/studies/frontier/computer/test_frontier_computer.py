@@ -16,21 +16,26 @@ from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, Paramet
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.report.document import json_document
 from cbsr_qa.studies.frontier.computer import forward as computer_forward, imaging as computer_imaging
-from cbsr_qa.studies.frontier.computer.forward import fastest_s, forward_point, time_call
+from cbsr_qa.studies.frontier.computer.forward import fastest_s, measure_forward, time_call
 from cbsr_qa.studies.frontier.computer.imaging import (
     RECIPES_METHOD,
     MethodSetting,
     make_imager,
     make_method,
-    mesh_point,
-    method_point,
-    precision_point,
+    measure_mesh,
+    measure_method,
+    measure_precision,
     relative_error,
 )
 from cbsr_qa.studies.frontier.computer.readings import base_scene_readings, figures_of_merit, sensor_changes
-from cbsr_qa.studies.frontier.computer.sweeps import computer_work, worth_their_time
+from cbsr_qa.studies.frontier.computer.sweeps import mark_worth_of_computer, plan_computer_work
 from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
-from cbsr_qa.studies.frontier.station import choices_of_even, parts_of_even, parts_of_paper, ways_by_simulation
+from cbsr_qa.studies.frontier.station import (
+    list_choices_of_even,
+    list_parts_of_even,
+    list_parts_of_paper,
+    list_simulated_ways,
+)
 from cbsr_qa.testing.numerics import assert_expected_order
 
 
@@ -51,7 +56,7 @@ def _untimed(monkeypatch):
 
 @lru_cache(maxsize=16)
 def forward(electrodes, order, size):
-    return forward_point(electrodes, order, size)
+    return measure_forward(electrodes, order, size)
 
 
 # Meshes this coarse do not reach the full orders yet; see the tests of the forward model for those.
@@ -135,11 +140,11 @@ def test_images_without_a_blob_are_missed_and_have_no_other_figure(fine_problem)
     blind = LinearReconstruction(
         "blind", fine_problem, np.zeros(fine_problem.jacobian.T.shape), ParameterChoice(0.0, "given", 1.0)
     )
-    assert figures_of_merit(blind, readings) == {"missed": Accuracy(1.0, 0.0, "1")}
+    assert figures_of_merit(blind, readings) == {"missed": Accuracy.from_sensors([1.0, 1.0], "1")}
 
 
 def test_one_sensor_has_no_standard_error():
-    point = method_point(RECIPES_METHOD, 1.0, 1)
+    point = measure_method(RECIPES_METHOD, 1.0, 1)
     assert point.accuracy
     assert all(figure.stderr is None for figure in point.accuracy.values())
 
@@ -165,7 +170,7 @@ def test_no_seed_is_refused():
 
 @pytest.mark.rest
 def test_more_sensors_make_smaller_standard_errors():
-    few, many = (method_point(RECIPES_METHOD, 1.0, seeds).accuracy["A_OL"].stderr for seeds in (3, 12))
+    few, many = (measure_method(RECIPES_METHOD, 1.0, seeds).accuracy["A_OL"].stderr for seeds in (3, 12))
     assert many < few
 
 
@@ -174,30 +179,30 @@ def test_more_sensors_make_smaller_standard_errors():
 
 @pytest.mark.rest
 def test_an_image_mesh_that_does_not_resolve_the_head_costs_overlap():
-    coarse, fine = mesh_point(RECIPES_METHOD, 8.0, 4), mesh_point(RECIPES_METHOD, 4.0, 4)
+    coarse, fine = measure_mesh(RECIPES_METHOD, 8.0, 4), measure_mesh(RECIPES_METHOD, 4.0, 4)
     assert coarse.costs["unknowns"] < fine.costs["unknowns"]
     lost = fine.accuracy["A_OL"].value - coarse.accuracy["A_OL"].value
     assert lost > 3 * np.hypot(fine.accuracy["A_OL"].stderr, coarse.accuracy["A_OL"].stderr)
 
 
 def test_less_smoothing_than_noise_allows_costs_overlap_and_ends_in_missed_loads():
-    own, less, least = (method_point(RECIPES_METHOD, factor, 3) for factor in (1.0, 0.3, 0.03))
+    own, less, least = (measure_method(RECIPES_METHOD, factor, 3) for factor in (1.0, 0.3, 0.03))
     assert own.accuracy["missed"].value == 0
     assert less.accuracy["A_OL"].value < own.accuracy["A_OL"].value - 5
     assert least.accuracy["missed"].value > 0
 
 
 def test_a_setting_that_is_refused_is_a_point_that_says_why():
-    point = method_point(MethodSetting("gauss-newton-noser", (("noise_figure", 1e9),)), 1.0, 1)
+    point = measure_method(MethodSetting("gauss-newton-noser", (("noise_figure", 1e9),)), 1.0, 1)
     assert point.accuracy == {}
     assert point.compute_s is None
     assert "cannot be reached" in point.note
-    assert not worth_their_time([point])[0].pareto
+    assert not mark_worth_of_computer([point])[0].pareto
 
 
 def test_a_count_that_would_part_a_pair_takes_the_next():
-    point = method_point(MethodSetting("truncated-svd", (), "components"), 0.5, 1)
-    own = method_point(MethodSetting("truncated-svd", (), "components"), 1.0, 1)
+    point = measure_method(MethodSetting("truncated-svd", (), "components"), 0.5, 1)
+    own = measure_method(MethodSetting("truncated-svd", (), "components"), 1.0, 1)
     kept, of = (int(one.note.split(",")[0].rsplit(" ", 1)[1]) for one in (point, own))
     assert of / 2 - 1 <= kept <= of / 2 + 1
     assert point.accuracy
@@ -238,7 +243,7 @@ def test_rounding_stays_within_its_bound_in_both_precisions():
     changes = sensor_changes(readings, 0, prepared)[1]
     bound = {precision: error_bound(prepared.matrix, changes, precision) for precision in ("float32", "float64")}
     for batch in (1, 16):
-        errors = {name: precision_point(name, batch).accuracy["image_error"].value for name in bound}
+        errors = {name: measure_precision(name, batch).accuracy["image_error"].value for name in bound}
         assert errors["float64"] <= bound["float64"]
         assert bound["float64"] < errors["float32"] <= bound["float32"]
 
@@ -253,7 +258,7 @@ def test_the_bound_holds_for_the_matrix_that_cancels_most():
 
 
 def test_readings_cost_memory_with_the_block_and_half_of_it_in_single_precision():
-    few, many, half = (precision_point(*how) for how in (("float64", 1), ("float64", 16), ("float32", 16)))
+    few, many, half = (measure_precision(*how) for how in (("float64", 1), ("float64", 16), ("float32", 16)))
     assert few.costs["memory_bytes"] < many.costs["memory_bytes"] == 2 * half.costs["memory_bytes"]
 
 
@@ -263,8 +268,13 @@ def test_readings_cost_memory_with_the_block_and_half_of_it_in_single_precision(
 def test_the_page_has_a_table_of_every_series():
     page = Path(__file__).parents[4] / "docs" / "reference" / "frontier.md"
     tables = re.findall(r"<!-- table: (.+?) -->\n+(\|.+?\|)\n+<!-- end -->", page.read_text(), re.S)
-    computer = {work.what.split(": ")[0] for work in computer_work()}
-    ways = (*parts_of_paper(), *parts_of_even(quick=False), *choices_of_even(), *ways_by_simulation(quick=False))
+    computer = {work.what.split(": ")[0] for work in plan_computer_work()}
+    ways = (
+        *list_parts_of_paper(),
+        *list_parts_of_even(),
+        *list_choices_of_even(),
+        *list_simulated_ways(),
+    )
     station = {series for series, _ in ways}
     assert {name for name, _ in tables} == computer | station
     assert all(len(table.splitlines()) > 4 for _, table in tables)
@@ -276,14 +286,14 @@ def test_the_page_has_a_table_of_every_series():
 @pytest.mark.rest
 def test_tasks_have_keys_of_their_own_that_stay_the_same():
     for quick in (True, False):
-        keys = [work.key for work in computer_work(quick=quick)]
+        keys = [work.key for work in plan_computer_work(quick=quick)]
         assert len(set(keys)) == len(keys)
-        assert keys == [work.key for work in computer_work(quick=quick)]
-    assert {work.key for work in computer_work(quick=True)} != set(keys)
+        assert keys == [work.key for work in plan_computer_work(quick=quick)]
+    assert {work.key for work in plan_computer_work(quick=True)} != set(keys)
 
 
 def test_a_task_is_the_same_point_in_another_process_and_out_of_a_file():
-    work = next(work for work in computer_work(quick=True) if "reconstruction" in work.what)
+    work = next(work for work in plan_computer_work(quick=True) if "reconstruction" in work.what)
     (here,), (there,) = work.run(), pickle.loads(pickle.dumps(work)).run()
     assert there.accuracy == here.accuracy
     assert there.knobs == here.knobs
@@ -296,7 +306,7 @@ def test_settings_of_the_same_arithmetic_are_not_told_apart_by_the_clock():
         return Point(TimeBasis.COMPUTER, series, {}, accuracy, compute_s, None, 3, "", {"memory_bytes": size})
 
     def worth(*points):
-        return [point.pareto for point in worth_their_time(points)]
+        return [point.pareto for point in mark_worth_of_computer(points)]
 
     one, other = point("reconstruction", 1.0, 1.0e-4, 8.0), point("reconstruction", 0.95, 1.1e-4, 8.0)
     assert worth(one, other) == [False, True]
