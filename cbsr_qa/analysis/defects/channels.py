@@ -27,6 +27,10 @@ _LARGEST_MEMORY = 0.25
 _MEMORY_SPREAD = 0.03
 #: Range of all readings [counts] up to which nothing is connected.
 _SILENT_COUNTS = 2.0
+#: Channels are at one level if their means scatter by at most this many standard errors of them.
+_LEVEL_ERRORS = 2.0
+#: Fewest channels of a full scan with several levels: a sheet's readings fall with distance.
+_FEWEST_CHANNELS = 49
 _CONVERTER_ENDS = (2**16 - 1, -(2**15))
 #: A ceiling: at least this share of the pairs is at it, and no reading exceeds it by so many times the noise.
 _CEILING_SHARE = 0.25
@@ -75,15 +79,16 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     missing_mask = (block.flags & ReadingFlag.MISSING.value != 0).mean(axis=0) > _AT_RAIL
     present = block.voltages[:, ~missing_mask]
     silent = _SILENT_COUNTS if block.unit is VoltageUnit.COUNT else 0.0
-    not_connected = present.size == 0 or float(np.ptp(present)) <= silent
+    levels = _count_levels(block, missing_mask)
+    not_connected = present.size == 0 or float(np.ptp(present)) <= silent or levels == 1
     at_end = False
     if not_connected and present.size > 0 and block.unit is VoltageUnit.COUNT:
         # Silent counts at an end of 16 bits; 0 and 32 767, the middle, are readings without input.
-        level = float(np.median(present))
-        at_end = min(abs(level - end) for end in _CONVERTER_ENDS) <= _SILENT_COUNTS
+        low, high = float(present.min()) - _SILENT_COUNTS, float(present.max()) + _SILENT_COUNTS
+        at_end = any(low <= end <= high for end in _CONVERTER_ENDS)
     not_connected = not_connected and not at_end
     flagged = block.flags & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
-    saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end
+    saturated = (flagged.mean(axis=0) > _FLAGGED) | at_end | (levels == 2 and not not_connected)
     is_frozen = len(block) >= _MIN_FRAMES and bool((block.voltages == block.voltages[0]).all())
     if not (not_connected or at_end or is_frozen):
         saturated |= _find_rail_clipping(block, missing_mask)
@@ -95,6 +100,29 @@ def find_faults(block: FrameBlock, scan: ScanKind) -> ChannelFaults:
     )
 
 
+def _count_levels(block: FrameBlock, missing: Mask) -> int:
+    """Number of levels at which all channels stand, 1 or 2; 0 if there are more, as on a sheet, or none can be told.
+
+    Two are both ends of a range, or no readings of a sheet. Symmetric patterns with other measure than drive pairs
+    may have two by themselves.
+    """
+    drives, measures = missing.shape
+    present = block.voltages[:, ~missing]
+    if drives not in (1, measures) or len(block) < _MIN_FRAMES or not present.shape[1]:
+        return 0
+    ends = (float(present.min()), float(present.max()))
+    if present.shape[1] > 1 and ends[0] < ends[1] and np.isin(present, ends).all():
+        return 2
+    if present.shape[1] < _FEWEST_CHANNELS:
+        return 0
+    means = np.sort(present.mean(axis=0))
+    error = float(np.median(channel_noise(present, counts=block.unit is VoltageUnit.COUNT))) / np.sqrt(len(block))
+    if means.std() <= _LEVEL_ERRORS * error:
+        return 1
+    gap = int(np.argmax(np.diff(means))) + 1
+    return 2 if max(means[:gap].std(), means[gap:].std()) <= _LEVEL_ERRORS * error and 1 < gap < len(means) - 1 else 0
+
+
 def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:
     voltages = np.where(missing, np.median(block.voltages), block.voltages)
     clipped = np.zeros(missing.shape, dtype=bool)
@@ -103,8 +131,18 @@ def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:
     for rail in (float(voltages.min()), float(voltages.max())):
         exact = (voltages == rail).mean(axis=0) >= _AT_RAIL
         if exact.any():
-            clipped |= exact | _remembering_rail(np.median(voltages, axis=0), rail)
+            at_rail = exact | _remembering_rail(np.median(voltages, axis=0), rail)
+            # A single channel that never changes is stuck, and makes an extreme of any value.
+            is_constant = (voltages[:, at_rail] == rail).mean() >= _CONSTANT
+            if at_rail.sum() > 1 or _is_converter_end(rail) or not is_constant:
+                clipped |= at_rail
     return clipped
+
+
+def _is_converter_end(rail: float) -> bool:
+    """Whether a value is an end of a converter's range of at least 8 bits, or zero."""
+    bits = np.log2(abs(rail) + (rail > 0)) if rail else 0.0
+    return rail in (0.0, -(2**15 - 1)) or (bits >= 8 and float(bits).is_integer())
 
 
 def _remembering_rail(level: Array, rail: float) -> Mask:

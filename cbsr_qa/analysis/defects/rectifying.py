@@ -28,3 +28,20 @@ def answering_levels(levels: Array, modelled: Array) -> AnsweringSide | None:
             return None
         about[side] = (about[side] - np.median(about[side])) / usual
     return compare_sides(np.abs(about), positive_mask)
+
+
+def answering_changes(changes: Array, patterns: Array, modelled: Array) -> AnsweringSide | None:
+    """Tell by changes (n, m) which modelled polarity answers, each over what loads anywhere change it by.
+
+    Parameters
+    ----------
+    patterns : (m, p) changes by loads at p places. modelled : (m,) readings.
+
+    Returns
+    -------
+    The side that answers; None if one polarity has too few of the readings, or nothing changes.
+    """
+    positive_mask = modelled > 0
+    if not _LEAST_SIDE <= positive_mask.mean() <= 1 - _LEAST_SIDE or not changes.any():
+        return None
+    return compare_sides(np.median(np.abs(changes), axis=0) / np.linalg.norm(patterns, axis=1), positive_mask)

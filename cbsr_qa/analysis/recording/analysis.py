@@ -176,6 +176,11 @@ def _saturation(recording: Recording) -> str:
     """Describe the level of a recording whose readings are all saturated."""
     level, unit = np.median(recording.frames.voltages, axis=0), recording.frames.unit.value
     low, high = float(level.min()), float(level.max())
+    if len(np.unique(recording.frames.voltages)) == 2:
+        return (
+            f"saturated: all {level.size} readings are {recording.frames.voltages.min():g} or"
+            f" {recording.frames.voltages.max():g} {unit}: the ends of their range, or no readings of a sheet"
+        )
     level_words = f"{high:g} {unit}" if low == high else f"{low:g} to {high:g} {unit}"
     return f"saturated: all {level.size} readings are at their ceiling ({level_words})"
 

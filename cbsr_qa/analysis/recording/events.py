@@ -57,6 +57,7 @@ class Press:
     places : places of its loads, several if pressed simultaneously.
     score : score of its strongest step.
     slow : whether only its release was a step.
+    released : first frame after its last release that was a step; 0 without any.
     """
 
     start: float
@@ -67,6 +68,7 @@ class Press:
     places: tuple[Place, ...]
     score: float
     slow: bool = False
+    released: int = 0
 
 
 @dataclass(slots=True)
@@ -168,7 +170,9 @@ def _add_short(short: Press, presses: Found) -> None:
         distance = np.hypot(press.places[0].x - short.places[0].x, press.places[0].y - short.places[0].y)
         if distance > SAME_PLACE or not press.start - _CLOSE < short.start < press.end + _CLOSE:
             continue
+        # What the sheet keeps of a short press is not released later, as a load that relaxed at first is.
         is_residue = abs(press.places[0].score) < _RESIDUE * abs(short.places[0].score)
+        is_residue = is_residue and press.released <= short.end + _CLOSE
         if is_residue and abs(press.start - short.start) < short.end - short.start + _CLOSE:
             # The lasting part is what the sheet keeps of the short press.
             presses.presses.remove(press)
@@ -202,7 +206,8 @@ class _Search:
             first_frame = min(int(np.ceil(start)), int(end))
             peak = first_frame + int(np.argmax(along[first_frame : max(int(np.ceil(end)), first_frame + 1)]))
             score = max(step.score for step in group.steps)
-            self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow))
+            released = max((release.frame for release in group.releases), default=0)
+            self.found.presses.append(Press(start, peak, end, before, held, places, score, group.slow, released))
 
     def close_short(self, pulse: Change) -> None:
         """Evaluate a press of a few frames."""

@@ -19,6 +19,11 @@ _FURTHER_OF_FIRST = 0.35
 #: A load far from the others does not explain their model error, so that less suffices there.
 _FAR = 0.8
 _FAR_SHARE = 0.1
+#: Or, at some distance, it must leave so little of what the others leave, and of the change: two loads that were
+#: taken for one between them. Two explain no single load that well, even one much larger than modelled.
+_APART, _LEFT_OF_REST, _LEFT_OF_CHANGE = 0.4, 0.2, 0.05
+#: Smallest size of a load that is found in that way, of the largest.
+_COMPARABLE = 0.3
 _MOST_LOADS = 4
 _SWEEPS = 4
 #: Places this close to the best one (in radii) are fitted for the vertex of the likelihood.
@@ -29,9 +34,9 @@ _SEPARATE = 0.25
 _TAKEN_OUT, _TAKEN_PATTERNS = 0.2, 6
 #: It must then stand out of the noise by this (noise alone reaches it at one of all places once in 10 000 changes)
 #: and of what the model leaves of the strong ones, as shares of energy …
-_WEAK_GAIN, _MODEL_LEAVES = 30.0, 3e-3
+_WEAK_GAIN, _MODEL_LEAVES = 30.0, 1.5e-3
 #: … and explain this share of what is left above noise: a sheet unlike the model leaves changes unlike any load.
-_WEAK_EXPLAINED = 0.7
+_WEAK_EXPLAINED = 0.65
 _ROBUST_ROUNDS = 8
 _HUBER = 1.5
 _HIDDEN = 0.2  #: a place whose pattern is nearer than this to those taken out cannot be looked at
@@ -118,7 +123,8 @@ def find_places(
         needed = max(_FURTHER_SHARE * total, _FURTHER_OF_FIRST * explained)
         if _nearest(match, refined_indices) > _FAR:
             needed = _FAR_SHARE * total
-        if gain < needed or _nearest(match, refined_indices) < _SEPARATE:
+        is_resolved = _resolves_loads(change, match, refined_indices, total - explained)
+        if (gain < needed and not is_resolved) or _nearest(match, refined_indices) < _SEPARATE:
             break
         place_indices, explained = refined_indices, explained + gain
     places = _all_refined(change, match, place_indices)
@@ -127,6 +133,18 @@ def find_places(
         places.append(weak)
     explained = _fit_power(change, match, [place.index for place in places])
     return tuple(sorted(places, key=lambda place: -abs(place.score))), explained / total
+
+
+def _resolves_loads(change: Array, match: Matcher, chosen: list[int], left_before: float) -> bool:
+    """Whether places explain so much more than fewer did that these were between them."""
+    weights, *_ = np.linalg.lstsq(match.patterns[:, chosen], change, rcond=None)
+    left = float(np.sum(_fit_residual(change, match, chosen) ** 2))
+    alike = weights / weights[np.argmax(np.abs(weights))]
+    return bool(
+        left < min(_LEFT_OF_REST * left_before, _LEFT_OF_CHANGE * float(change @ change))
+        and _nearest(match, chosen) >= _APART
+        and alike.min() >= _COMPARABLE
+    )
 
 
 def _find_weak_load(change: Array, match: Matcher, places: list[Place], noise: float) -> Place | None:

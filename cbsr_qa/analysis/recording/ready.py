@@ -44,6 +44,7 @@ class ReadyReadings:
     offset : whether the readings include an unknown offset, see :func:`has_offset`.
     offsets : frame and size of every sudden offset of all readings.
     dead_drives, open_electrodes : left out.
+    clipped : (drives, measures) bool, saturated readings that would be used otherwise.
     spikes, spiky_frames : number of readings that were replaced, and of their frames, see :func:`remove_spikes`.
     """
 
@@ -51,6 +52,7 @@ class ReadyReadings:
     reference: Array | None
     faults: ChannelFaults
     used: Mask
+    clipped: Mask
     carry_over: CarryOver | None
     corrected: bool
     error: float | None
@@ -76,6 +78,8 @@ class ReadyReadings:
                 f"glitches: {self.spikes} of the readings (in {self.spiky_frames} of the frames) jumped for about a"
                 " frame, and their reciprocals did not; they were replaced by their neighbours in time"
             )
+        if self.clipped.any() and not self.faults.all_saturated:
+            remarks.append(f"saturated: channels {_list_channels(self.clipped)} stand at an end; they were left out")
         stuck = np.where(self.faults.saturated, -1, self.faults.stuck_from)
         if (stuck == 0).any():
             remarks.append(
@@ -124,7 +128,8 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     """
     block = recording.frames
     faults = find_faults(block, recording.scan)
-    used_mask = _usable(recording, pattern, faults.missing) & ~faults.bad
+    usable_mask = _usable(recording, pattern, faults.missing)
+    used_mask = usable_mask & ~faults.bad
     opened: tuple[int, ...] = ()
     if recording.scan is ScanKind.FULL and used_mask.any() and not recording.differences:
         full_pattern = pattern or adjacent_pattern(used_mask.shape[0])
@@ -143,7 +148,9 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     if is_scanned and not recording.rows:
         # One absurd reading must not decide the correction of the whole frame.
         calm = remove_spikes(voltages, used_mask, counts=offset)[0] if is_mended else voltages
-        carry_over = estimate_carry_over(replace(block, voltages=calm), used_mask)
+        driven_mask = used_mask.copy()
+        driven_mask[[dead.drive for dead in find_dead_drives(np.median(calm, axis=0), used_mask)]] = False
+        carry_over = estimate_carry_over(replace(block, voltages=calm), driven_mask)
     correct_memory = (
         carry_over is not None
         and (carry_over.worth_correcting if wanted is None else wanted)
@@ -170,6 +177,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         None if reference is None else reference.mean(axis=0),
         faults,
         used_mask,
+        usable_mask & faults.saturated,
         carry_over,
         bool(correct_memory),
         error,

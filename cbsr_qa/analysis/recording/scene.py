@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.analysis.defects.contacts import Suspect, suspects_of
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA, channel_noise
-from cbsr_qa.analysis.defects.rectifying import answering_levels
+from cbsr_qa.analysis.defects.rectifying import answering_changes, answering_levels
 from cbsr_qa.analysis.recording.changes import nearest_step
 from cbsr_qa.analysis.recording.events import Found, NoLoads, Press, find_initial_loads, search
 from cbsr_qa.analysis.recording.images import Sighting, frames_around, nearest_frames
@@ -26,6 +26,7 @@ from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_l
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_in_rows, find_moving, find_still, fit_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
+from cbsr_qa.calibration.presses.answering import AnsweringSide
 from cbsr_qa.domain.goodness import Goodness
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.frames import Recording
@@ -97,8 +98,13 @@ class RecordedScene:
         block, used_mask = ready.block, ready.used
         if recording.differences:
             sheet = sheet_for(sensor_type, used_mask)
-            readings = block.voltages[:, used_mask]
-            return cls(recording, ready, sheet, difference_model(readings, sheet.problem), readings, named)
+            side = answering_changes(block.voltages[:, used_mask], sheet.patterns, sheet.problem.reference)
+            if side is not None and side.words:
+                used_mask = used_mask.copy()
+                used_mask[used_mask] = side.answers
+                sheet = sheet_for(sensor_type, used_mask)
+            readings, remarks = block.voltages[:, used_mask], _describe_side(side)
+            return cls(recording, ready, sheet, difference_model(readings, sheet.problem), readings, named, remarks)
         frame = np.median(block.voltages, axis=0) if ready.reference is None else ready.reference
         modelled = problem_for(sensor_type, used_mask).reference
         side = None if recording.magnitudes_only else answering_levels(frame[used_mask], modelled)
@@ -113,8 +119,7 @@ class RecordedScene:
             used_mask = usable_volts(frame, used_mask, noise)
         sheet = sheet_for(sensor_type, used_mask)
         model = unit_model(frame[used_mask], sheet.problem, offset=ready.offset)
-        remarks = (f"{side.words}; they were left out",) if side is not None and side.words else ()
-        return cls(recording, ready, sheet, model, block.voltages[:, used_mask], named, remarks)
+        return cls(recording, ready, sheet, model, block.voltages[:, used_mask], named, _describe_side(side))
 
     def drop_readings(self, readings: NDArray[np.bool_]) -> Self:
         """Return the scene without some readings, (m,) bool."""
@@ -323,6 +328,10 @@ class RecordedScene:
             seen.goodness,
             track if len(track) > 1 else (),
         )
+
+
+def _describe_side(side: AnsweringSide | None) -> tuple[str, ...]:
+    return (f"{side.words}; they were left out",) if side is not None and side.words else ()
 
 
 def _describe_rejected(searched: Found, times: Array) -> str:

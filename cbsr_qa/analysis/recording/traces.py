@@ -17,10 +17,12 @@ BEFORE_FRAMES = 8  #: at most so many frames before a press are its reference
 _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pattern
 _BEGUN, _REACHED = 0.2, 0.8  #: shares of the plateau at which a press has begun, and is down
 _RELEASED = 0.15  #: least share of the trace that a release reverses
-_SUDDEN = 0.5  #: a release that reverses this share of its drop within three frames is that step
+_SUDDEN = 0.5  #: a release that takes this share of what is left to lose within three frames is that step
 _STAYED = 0.5  #: a trace that keeps this share of its top, and decays from there on, was not released
 _HELD = 0.15  #: a trace held first lies above the straight line from top to end by this share of the decline
 _SMOOTH_SHARE = 10  #: averaged over this part of the time, against noise
+_STEADY = 0.25  #: share of the steepest fall that still belongs to the same release
+_NEARLY = 0.1  #: share of the decline that does not matter
 _DECLINED = 0.25  #: otherwise the end is where this share of the drop is passed
 
 
@@ -106,18 +108,45 @@ def end_of(along: Array, begin: int, limit: int) -> float:
     last_level = float(span[-min(3, len(span)) :].mean())
     drop = float(span[top]) - last_level
     noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(span)))) / np.sqrt(2)
-    if drop < max(_RELEASED * float(span[top]), 4 * noise):
+    least = max(_RELEASED * float(span[top]), 4 * noise)
+    if drop < least:
         return float(limit - 1)
     reach = min(3, len(span) - 1 - top)
     if reach > 0:
         falls = span[top:-reach] - span[top + reach :]
-        steepest = int(np.argmax(falls))
-        if falls[steepest] >= _SUDDEN * drop:
+        # A load that relaxed while it was held has less to lose than at its top.
+        sudden = np.flatnonzero(falls >= np.maximum(_SUDDEN * (span[top:-reach] - last_level), least))
+        if len(sudden):
+            last_fall = sudden[sudden >= sudden[-1] - reach]
+            steepest = int(last_fall[np.argmax(falls[last_fall])])
+            onset = steepest
+            while onset > 0 and falls[onset - 1] >= _STEADY * falls[steepest]:
+                onset -= 1
+            if steepest - onset > reach:  # a slow release, at last over what is left
+                return _crossing(span, top + onset, _declined(span[top + onset], last_level)) + begin
             return _crossing(span, top + steepest, float(span[top + steepest]) - falls[steepest] / 2) + begin
     reached = int(np.argmax(span >= _REACHED * span[top]))
     if limit == len(along) and last_level >= _STAYED * float(span[top]) and _fades(span[reached:], drop, noise):
         return float(limit - 1)
-    return _crossing(span, top, float(span[top]) - _DECLINED * drop, last=True) + begin
+    held_until = top + _last_held(span[top:], drop, noise)
+    return _crossing(span, held_until, _declined(span[held_until], last_level), last=True) + begin
+
+
+def _declined(level: float, last_level: float) -> float:
+    return float(level - _DECLINED * (level - last_level))
+
+
+def _last_held(part: Array, drop: float, noise: float) -> int:
+    """Index of the last frame of a hold in a trace that declines from its top; 0 if there is no hold.
+
+    A load relaxes while it is held: the trace bends below its straight line down, and its release bends it above.
+    """
+    window = max(len(part) // _SMOOTH_SHARE, 1)
+    calm = np.convolve(part, np.full(window, 1 / window), "valid")
+    down = int(np.argmax(calm <= calm[-1] + _NEARLY * drop)) + 1
+    above = calm[:down] - np.linspace(calm[0], calm[down - 1], down)
+    knee = int(np.argmax(above))
+    return knee + window // 2 if above[knee] > _NEARLY * drop + noise / np.sqrt(window) else 0
 
 
 def _fades(part: Array, drop: float, noise: float) -> bool:

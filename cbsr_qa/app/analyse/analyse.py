@@ -332,7 +332,8 @@ def _missing_signal_error(path: Path, result: RecordingResult) -> RecordingError
     if result.channels.not_connected:
         return RecordingError(
             f"{path.name} holds no signal: all {len(recording.frames)} frames read"
-            f" {recording.frames.voltages.flat[0]:g} {recording.frames.unit.value} everywhere, nothing is connected",
+            f" {np.median(recording.frames.voltages):g} {recording.frames.unit.value} everywhere, within their noise;"
+            " nothing is connected",
             remedy="connect the sensor and record again",
         )
     if len(result.channels.saturated) == recording.frames.voltages[0].size:

@@ -165,10 +165,10 @@ def _scale_row(line: BoardLine, form: RowForm, scale: CountScale) -> BoardLine:
     if scale.factor == 1 or line.kind is not LineKind.ROW or len(line.numbers) != form.width:
         return line
     clock, readings = line.numbers[: -form.pairs], line.numbers[-form.pairs :]
-    if any(value % scale.factor for value in readings):
+    if any(n % scale.factor and (k, n) not in scale.stuck for k, n in enumerate(readings)):
         problem = f"impossible: a reading is not a multiple of {scale.factor}, as all others are"
         return replace(line, kind=LineKind.GARBLED, said=problem)
-    return replace(line, numbers=(*clock, *(value // scale.factor for value in readings)))
+    return replace(line, numbers=(*clock, *(round(value / scale.factor) for value in readings)))
 
 
 def _clock_outliers(lines: list[BoardLine]) -> list[BoardLine]:

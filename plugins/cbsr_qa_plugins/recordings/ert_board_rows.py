@@ -40,6 +40,8 @@ LAST_BOARD_MS: Final = 2**32 - 1
 _MAX_COMPUTER_S: Final = 1e11
 #: A line with at least this many numbers is a row of readings with something wrong in it, not a log.
 _MIN_ROW_NUMBERS: Final = 3
+#: A number that recurs so often in a column of rows that are multiplied by a constant is of a stuck channel.
+_RECURS: Final = 8
 
 
 class LineKind(Enum):
@@ -159,17 +161,21 @@ class CountScale:
     ----------
     factor : constant that the file's numbers are multiplied by; they are divided by it.
     lowest, highest : least and largest possible count, after division.
+    stuck : numbers that are no multiples of it, each with its column, from 0, in which it recurs; they are rounded.
     """
 
     factor: int = 1
     lowest: int = LOWEST_COUNT
     highest: int = HIGHEST_COUNT
+    stuck: frozenset[tuple[int, int]] = frozenset()
 
     @property
     def note(self) -> str:
         """Say what was done; empty where the file holds counts of 16 bits."""
         if self.factor > 1:
-            return f"all readings are multiples of {self.factor}, most rows exceed 16 bits: divided by {self.factor}"
+            besides = f" but {', '.join(str(n) for _, n in sorted(self.stuck)[:3])}" if self.stuck else ""
+            multiples = f"all readings{besides} are multiples of {self.factor}"
+            return f"{multiples}, most rows exceed 16 bits: divided by {self.factor}"
         if self.highest > HIGHEST_COUNT:
             return (
                 f"readings exceed 16 bits in most rows and have no common factor: read as they are, to {self.highest}"
@@ -191,7 +197,9 @@ def count_scale(rows: Sequence[tuple[int, ...]]) -> CountScale:
     factor = max(Counter(gcd(*row) for row in rows).most_common(1)[0][0], 1)
     divided = [tuple(value // factor for value in row) for row in rows]
     if factor > 1 and 2 * sum(_fits_sixteen_bits(row) for row in divided) >= len(rows):
-        return CountScale(factor)
+        odd_numbers = Counter((k, n) for row in rows for k, n in enumerate(row) if n % factor)
+        stuck = {number for number, times in odd_numbers.items() if times >= _RECURS}
+        return CountScale(factor, stuck=frozenset(stuck))
     typical = sorted(max(map(abs, row)) for row in rows)[len(rows) // 2]
     reach: int = 2 ** (typical.bit_length() + 1)
     return CountScale(1, -reach, reach - 1) if reach <= _MAX_COUNT_RANGE else CountScale()
