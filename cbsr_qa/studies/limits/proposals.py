@@ -33,11 +33,12 @@ _WHATEVER: Final = "whatever the distribution of sensors is"
 _AS_STATED: Final = "if sensors are {distribution}, as stated"
 _UP_TO_STUDENT: Final = "for tails up to those of Student's t with {freedom} degrees of freedom"
 _FOR_FAMILIES: Final = (
-    "for normal, log-normal, Weibull and gamma distributions, and {tails} ({heavier}{needed} sensors: whatever it is)"
+    "for normal, log-normal, Weibull and gamma distributions of a run's worst value, and {tails}{heavier}; {one}"
+    " sensors for one bound, {two} for two, need no condition"
 )
-_HEAVIER: Final = "--distribution heavy: 3; "
+_HEAVIER: Final = " (--distribution heavy: 3)"
 #: Sensors from which limits hold for Student's t with 3 degrees of freedom, see benchmarks/limit_promises.py.
-_SHOWS_HEAVY_TAILS: Final = 80
+_SHOWS_HEAVY_TAILS: Final = 100
 
 # Reasons for missing guard bands or risks.
 _NOTHING_LEFT: Final = "guard bands of {width:.3g} {unit} would leave nothing between the limits: measure better"
@@ -247,10 +248,9 @@ def _describe_condition(bounds: Collection[Bound], sensors: int, terms: Terms) -
     if terms.distribution is not None:
         return _AS_STATED.format(distribution=terms.distribution)
     is_large = sensors >= _SHOWS_HEAVY_TAILS
-    needed = count_needed(terms.coverage, terms.confidence, len(bounds))
-    return _FOR_FAMILIES.format(
-        tails=_UP_TO_STUDENT.format(freedom=3 if is_large else 5), heavier="" if is_large else _HEAVIER, needed=needed
-    )
+    one, two = (count_needed(terms.coverage, terms.confidence, sides) for sides in (1, 2))
+    tails = _UP_TO_STUDENT.format(freedom=3 if is_large else 5)
+    return _FOR_FAMILIES.format(tails=tails, heavier="" if is_large else _HEAVIER, one=one, two=two)
 
 
 def _pick_worst(group: Group, worst: Callable[[list[float]], float]) -> Runs:

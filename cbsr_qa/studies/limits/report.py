@@ -28,8 +28,8 @@ _LIMITS: Final = (
     "that fail the present limit → the proposed one, and that pass it marginally."
 )
 _BASIS: Final = (
-    "Basis of each limit: the worst value of each run, its distribution or the shares of the families it may "
-    "come from, the factor k on the deviation, and the limits from single distributions that are not refuted."
+    "Basis of each limit: the worst value of each run, its distribution or shares of families, the factor k on the "
+    "deviation, and the limits from single distributions that are not refuted."
 )
 _GUARD: Final = (
     "Guard band = {factor:g} × k × standard uncertainty u of one run; consumer's and producer's risk (C, P) if "
