@@ -6,68 +6,16 @@ the worst value of a stated share of good sensors.
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from enum import StrEnum
-from math import ceil, exp, floor, log, log10
+from math import ceil, exp, floor, log, log10, sqrt
 
 import numpy as np
 from scipy import stats
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.intervals import count_needed, spacings_outside
+from cbsr_qa.stats.averaged_bound import Average, FamilyShare, average, average_heaviest
+from cbsr_qa.stats.intervals import count_needed, factor_of_quantile, spacings_outside
+from cbsr_qa.stats.lot_shapes import Distribution, Fit, far_out, fits_worst_of
 from cbsr_qa.stats.variance_components import Components, components, telling_runs
-from cbsr_qa.stats.worst_value import worst_of
-
-#: Modified z-score above which values are named as outliers (Iglewicz & Hoaglin 1993).
-FAR_OUT = 3.5
-_NORMAL_MAD = 0.6745  #: median absolute deviation of a standard normal number
-_MOST_TESTED = 2500  #: the test's p-value is trustworthy up to 5000 values
-
-
-class Distribution(StrEnum):
-    """Assumed distribution of single values."""
-
-    NORMAL = "normal"
-    LOG_NORMAL = "log-normal"
-    ANY = "any (order statistics)"
-
-
-@dataclass(frozen=True, slots=True)
-class Fit:
-    """Goodness of fit of a distribution.
-
-    Parameters
-    ----------
-    p_value : p value of the Shapiro–Wilk test.
-    refuted : whether the p value is below the requested level.
-    distribution : distribution of single values.
-    """
-
-    p_value: float
-    refuted: bool
-    distribution: Distribution = Distribution.NORMAL
-
-
-def fits_worst_of(values: Array, count: int, level: float) -> Fit:
-    """Test whether values (n,), n ≥ 3, may be the largest of ``count`` normal ones each (plain ones for 1).
-
-    Values are turned into normal scores of the fitted distribution, and given to Shapiro and Wilk's test.
-    """
-    standard = (values - values.mean()) / values.std(ddof=1)
-    scores = np.sort(worst_of(count).normal_scores(standard))
-    thinned = scores[:: -(-len(scores) // _MOST_TESTED)]
-    p_value = float(stats.shapiro(thinned).pvalue)
-    return Fit(p_value, p_value < level)
-
-
-def far_out(values: Sequence[float]) -> tuple[int, ...]:
-    """Return the indices of values whose modified z-score 0.6745 |x − median| / MAD exceeds 3.5."""
-    array = np.asarray(values, dtype=float)
-    away = np.abs(array - np.median(array))
-    spread = float(np.median(away))
-    if not spread:
-        return ()
-    return tuple(int(index) for index in np.flatnonzero(_NORMAL_MAD * away / spread > FAR_OUT))
-
 
 #: Number of sensors below which no distribution is tested.
 FEWEST_SENSORS = 3
@@ -91,7 +39,8 @@ class Ask:
     ----------
     coverage, confidence : shares between 0 and 1.
     lower, upper : whether each bound is required; at least one is.
-    distribution : distribution to use unless the lot rejects it; None for the widest bound of those not rejected.
+    distribution : distribution to use; normal and log-normal unless the lot rejects it. None: no distribution if the
+        lot is large enough for order statistics, else an average of families.
     """
 
     coverage: float
@@ -144,6 +93,8 @@ class Bound:
     scale : scale of ``parts``.
     parts : variance components of the sensors' worst values on that scale.
     factor : k of mean + k deviation on that scale; None for order statistics.
+    families : shares of the families that the lot may come from, largest first; empty if one was stated, or none is
+        needed.
     worst_mean, worst_deviation : mean and single-run deviation of the sensors' worst values, in their unit.
     """
 
@@ -157,6 +108,7 @@ class Bound:
     worst_mean: float = 0.0
     worst_deviation: float = 0.0
     narrower: tuple[Narrower, ...] = ()
+    families: tuple[FamilyShare, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -223,13 +175,40 @@ def _nothing_to_go_by(runs: Runs) -> str:
 
 
 def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
-    """Return the widest bound of the distributions that are not rejected, or the reason for none."""
+    """Return the bound of the asked distribution, or of all that the lot may come from, or the reason for none."""
+    if ask.distribution is Distribution.HEAVY and not _mostly_equal(runs):
+        heaviest = average_heaviest(_mean_of_sensors(runs), sign)
+        return _round_bound(_average_bound(runs, heaviest, values, ask), runs)
+    is_large = spacings_outside(len(runs), ask.coverage, ask.confidence) >= ask.sides
+    if ask.distribution is Distribution.ANY or (ask.distribution is None and is_large):
+        return _order_statistic_bound(runs, ask, sign, [])
+    candidates, fits = _fit_distributions(runs, looked_at, values, ask, sign)
+    families: tuple[FamilyShare, ...] = ()
+    if ask.distribution is None and not _mostly_equal(runs):
+        lot = average(_mean_of_sensors(runs), sign, values)
+        families = lot.shares()
+        p_value = lot.p_value()
+        fits.append(Fit(p_value, p_value < LEVEL, Distribution.SEVERAL))
+        if candidates or p_value >= LEVEL:
+            candidates.append(_average_bound(runs, lot, values, ask))
+    if not candidates:
+        return _order_statistic_bound(runs, ask, sign, fits)
+    *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
+    narrower_bounds = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
+    widest = replace(widest, tests=tuple(fits), narrower=narrower_bounds, families=families)
+    return _round_bound(widest, runs)
+
+
+def _fit_distributions(
+    runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int
+) -> tuple[list[Bound], list[Fit]]:
+    """Return the bounds of normal and log-normal distributions that are not rejected, and all tests."""
     candidates: list[Bound] = []
     fits: list[Fit] = []
     for distribution in looked_at:
         scale = Scale(sign, distribution is Distribution.LOG_NORMAL)
         scaled_runs = [[scale.forward(x) for x in sensor] for sensor in runs]
-        means = np.array([np.mean(sensor) for sensor in scaled_runs])
+        means = _mean_of_sensors(scaled_runs)
         for independent in dict.fromkeys((values, 1)):
             fit = replace(fits_worst_of(means, independent, LEVEL), distribution=distribution)
             fits.append(fit)
@@ -239,11 +218,42 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
                 limit = scale.inverse(variance_components.mean + factor * variance_components.deviation)
                 candidates.append(Bound(limit, distribution, independent, (), scale, variance_components, factor))
                 break
-    if not candidates:
-        return _order_statistic_bound(runs, ask, sign, fits)
-    *narrower, widest = sorted(candidates, key=lambda bound: sign * bound.limit)
-    narrower_bounds = tuple(Narrower(bound.distribution, bound.limit) for bound in narrower)
-    return _round_bound(replace(widest, tests=tuple(fits), narrower=narrower_bounds), runs)
+    return candidates, fits
+
+
+def _average_bound(runs: Runs, lot: Average, values: int, ask: Ask) -> Bound:
+    """Return the bound of an average of families; not rounded.
+
+    Families act on sensors' means: they stretch the factor of normal values, which knows of repeated runs.
+    """
+    scale = Scale(lot.sign, False)
+    parts = components([[scale.forward(x) for x in sensor] for sensor in runs])
+    share = ask.coverage if ask.sides == 1 else (1 + ask.coverage) / 2
+    error = (1 - ask.confidence) / (1 if ask.sides == 1 or values == 1 else 2)
+    normal_quantile = float(stats.norm.ppf(share))
+    normal_factor = factor_of_quantile(normal_quantile, 1 - error, parts.sensors, parts.sensors - 1)
+    stretch = (lot.bound(share, error) - parts.mean) / (normal_factor * sqrt(parts.between))
+    factor = stretch * _factor(parts, 1, values, ask)
+    is_heavy = ask.distribution is Distribution.HEAVY
+    return Bound(
+        limit=lot.sign * (parts.mean + factor * parts.deviation),
+        distribution=Distribution.HEAVY if is_heavy else Distribution.SEVERAL,
+        independent_values=lot.largest_of,
+        tests=(),
+        scale=scale,
+        parts=parts,
+        factor=factor,
+    )
+
+
+def _mean_of_sensors(runs: Runs) -> Array:
+    return np.array([np.mean(sensor) for sensor in runs])
+
+
+def _mostly_equal(runs: Runs) -> bool:
+    """Whether more than half of the sensors have one value: no family has a scale then."""
+    means = _mean_of_sensors(runs)
+    return not np.median(np.abs(means - np.median(means)))
 
 
 def _factor(parts: Components, independent: int, values: int, ask: Ask) -> float:

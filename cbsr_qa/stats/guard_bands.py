@@ -9,15 +9,17 @@ u. Behind an upper limit T with acceptance limit A = T − w,
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from math import exp, sqrt
+from math import exp, log, log1p, sqrt
 
 import numpy as np
 from scipy import special, stats
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.stats.golden_lots import Bound, Distribution, Runs
+from cbsr_qa.stats.averaged_bound import HEAVIEST, LOG_NORMAL, NORMAL, FamilyShare, family_of
+from cbsr_qa.stats.families import LargestNormal
+from cbsr_qa.stats.golden_lots import Bound, Runs, Scale
+from cbsr_qa.stats.lot_shapes import Distribution
 from cbsr_qa.stats.variance_components import FEWEST_REPEATS, components
-from cbsr_qa.stats.worst_value import worst_of
 
 #: Density of true values: (n,) values → (n,) densities.
 Density = Callable[[Array], Array]
@@ -111,29 +113,47 @@ def repeatability(runs: Runs, source: str) -> Uncertainty | None:
 def risks(bound: Bound, guard: float, uncertainty: Uncertainty) -> Risks | None:
     """Return consumer's and producer's risk of one bound; None if the lot cannot determine them.
 
-    The density of true worst values has the fitted shape; its variance is that of the lot less that of the
-    measurement. On a logarithmic scale the uncertainty is relative to the geometric mean. ``guard``: width of the
-    rejected band.
+    The density of true worst values has the fitted shape, or is the average of the families that the lot may come
+    from; its variance is that of the lot less that of the measurement. On a logarithmic scale the uncertainty is
+    relative to the geometric mean. ``guard``: width of the rejected band.
     """
     if bound.distribution is Distribution.ANY:
         return None
-    variances, scale = bound.parts, bound.scale
-    u = uncertainty.standard
-    if uncertainty.freedom is not None:
-        u = sqrt(variances.within or 0.0)
-    elif scale.logarithmic:
-        u /= exp(scale.sign * variances.mean)
-    true_variance = variances.deviation**2 - u**2
-    guarded_limit = bound.limit - scale.sign * guard
-    if (
-        not u
-        or true_variance < (_LEAST_SPREAD * u) ** 2
-        or (scale.logarithmic and min(guarded_limit, bound.limit) <= 0)
-    ):
+    if not bound.scale.logarithmic and bound.distribution in (Distribution.SEVERAL, Distribution.HEAVY):
+        families = bound.families or (FamilyShare(HEAVIEST, 1.0),)
+    else:
+        families = (FamilyShare(LOG_NORMAL if bound.scale.logarithmic else NORMAL, 1.0),)
+    sums = Risks(0.0, 0.0)
+    for family in families:
+        family_risks = _risks_of_family(bound, family.family, guard, uncertainty)
+        if family_risks is None:
+            return None
+        sums += Risks(family.share * family_risks.consumer, family.share * family_risks.producer)
+    return sums
+
+
+def _risks_of_family(bound: Bound, name: str, guard: float, uncertainty: Uncertainty) -> Risks | None:
+    family, logarithmic = family_of(name)
+    sign, mean, variance = bound.scale.sign, bound.parts.mean, bound.parts.deviation**2
+    u = uncertainty.standard if uncertainty.freedom is None else sqrt(bound.parts.within or 0.0)
+    if bound.scale.logarithmic:
+        u = u if uncertainty.freedom is not None else u / exp(sign * mean)
+    elif logarithmic:  # moments of a log-normal quantity
+        relative_variance = variance / mean**2
+        variance, u = log1p(relative_variance), u / (abs(mean) / sqrt(1 + relative_variance))
+        mean = sign * (log(abs(mean)) - variance / 2)
+    scale, guarded_limit = Scale(sign, logarithmic), bound.limit - sign * guard
+    true_variance = variance - u**2
+    if not u or true_variance < (_LEAST_SPREAD * u) ** 2 or (logarithmic and min(guarded_limit, bound.limit) <= 0):
         return None
-    true_deviation, shape, limit = sqrt(true_variance), worst_of(bound.independent_values), scale.forward(bound.limit)
+    if name in (NORMAL, LOG_NORMAL):
+        family = LargestNormal(bound.independent_values)
+    elif sign < 0:
+        family = family.mirrored()
+    family_mean, family_deviation = family.moments()
+    unit, limit = sqrt(true_variance) / family_deviation, scale.forward(bound.limit)
 
     def density(y: Array) -> Array:
-        return shape.density((y - variances.mean) / true_deviation) / true_deviation
+        return np.exp(family.log_density((y - mean) / unit + family_mean)) / unit
 
     return risks_of_bound(density, limit, limit - scale.forward(guarded_limit), u)

@@ -7,12 +7,14 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from cbsr_qa.stats.golden_lots import Ask, Distribution, lot_limits, outward
+from cbsr_qa.stats.golden_lots import Ask, lot_limits, outward
 from cbsr_qa.stats.guard_bands import Uncertainty, repeatability, risks, risks_of_bound
 from cbsr_qa.stats.intervals import count_needed
+from cbsr_qa.stats.lot_shapes import Distribution
 
 UPPER = Ask(0.99, 0.95, lower=False, upper=True)
 LOWER = Ask(0.99, 0.95, lower=True, upper=False)
+HEAVY = Ask(0.99, 0.95, lower=False, upper=True, distribution=Distribution.HEAVY)
 BOTH = Ask(0.99, 0.95, lower=True, upper=True)
 NORMAL = Ask(0.99, 0.95, lower=False, upper=True, distribution=Distribution.NORMAL)
 
@@ -84,16 +86,23 @@ def test_limits_follow_the_unit(scale, shift):
 def test_of_distributions_that_are_not_refuted_the_widest_is_taken_and_the_other_named():
     lot = np.random.default_rng(5).normal(5, 1, (12, 1))
     bound = proposed(lot).upper
-    (narrower,) = bound.narrower
-    assert (bound.distribution, narrower.distribution) == (Distribution.LOG_NORMAL, Distribution.NORMAL)
+    narrower = min(bound.narrower, key=lambda other: other.limit)
+    assert {bound.distribution, *(other.distribution for other in bound.narrower)} == {
+        Distribution.NORMAL,
+        Distribution.LOG_NORMAL,
+        Distribution.SEVERAL,
+    }
+    assert narrower.distribution is Distribution.NORMAL
     alone = proposed(lot, NORMAL).upper
-    assert narrower.limit < bound.limit
+    assert max(other.limit for other in bound.narrower) <= bound.limit
     assert alone.limit == pytest.approx(narrower.limit, rel=0.01)
     assert alone.limit >= narrower.limit
 
 
 def test_what_can_be_negative_is_not_log_normal():
-    assert proposed(np.random.default_rng(6).normal(0.1, 1, (12, 1))).upper.distribution is Distribution.NORMAL
+    bound = proposed(np.random.default_rng(6).normal(0.1, 1, (12, 1))).upper
+    assert {"log-normal", "Weibull"}.isdisjoint(family.family for family in bound.families)
+    assert {fit.distribution for fit in bound.tests} == {Distribution.NORMAL, Distribution.SEVERAL}
 
 
 def test_without_a_distribution_small_lots_are_refused_with_how_many_it_takes():
@@ -140,6 +149,41 @@ def test_a_sensor_far_from_the_others_is_named_and_stays_in():
 def test_lots_that_say_nothing_are_refused(runs, why):
     for ask in (UPPER, BOTH):
         assert why in lot_limits(runs, runs, 1, ask).why
+
+
+@pytest.mark.parametrize(
+    "lot",
+    [
+        np.repeat([1.0, 2.0], [29, 1]),
+        np.repeat([1.0, 2.0], [15, 15]),
+        np.round(np.random.default_rng(20).normal(5, 1, 30)),
+        np.round(np.random.default_rng(21).normal(5, 1, 100), 1),
+        np.random.default_rng(22).normal(5, 1, 5),
+        np.array([1.0, 1.0, 2.0]),
+        np.array([0.0, 0.0, 1e-9, 1.0, 1e6]),
+        np.random.default_rng(23).standard_cauchy(60),
+        np.concatenate([np.random.default_rng(24).normal(5, 1, 40), [1e6]]),
+    ],
+    ids=["one differs", "two values", "whole numbers", "tenths", "five", "three", "decades", "Cauchy", "far away"],
+)
+@pytest.mark.parametrize("ask", [UPPER, BOTH, HEAVY], ids=["upper", "both", "heavy"])
+def test_a_hard_lot_has_a_finite_limit_beyond_its_middle_or_says_what_it_takes(lot, ask):
+    found = proposed(lot[:, None], ask)
+    if found.why:
+        assert "sensors; there are" in found.why
+        return
+    for bound, sign in ((found.lower, -1), (found.upper, 1)):
+        if bound is not None:
+            assert np.isfinite(bound.limit)
+            assert sign * bound.limit > sign * np.median(lot)
+            assert sum(family.share for family in bound.families) in (0.0, pytest.approx(1.0))
+
+
+def test_ten_thousand_sensors_need_no_distribution():
+    lot = np.random.default_rng(26).standard_t(3, (10_000, 1))
+    bound = proposed(lot).upper
+    assert bound.distribution is Distribution.ANY
+    assert stats.t(3).ppf(0.99) < bound.limit < stats.t(3).ppf(0.993)
 
 
 def test_numbers_of_any_size_are_judged_or_refused_and_never_overflow():

@@ -8,8 +8,8 @@ import pytest
 from hypothesis import given, strategies as st
 from scipy import stats
 
-from cbsr_qa.stats.golden_lots import far_out, fits_worst_of
 from cbsr_qa.stats.intervals import count_needed, one_sided_factor, spacings_outside, two_sided_factor
+from cbsr_qa.stats.lot_shapes import far_out, fits_worst_of
 from cbsr_qa.stats.variance_components import components
 from cbsr_qa.stats.worst_value import worst_of
 

@@ -40,7 +40,10 @@ def propose(
     ] = 1.0,
     distribution: Annotated[
         str,
-        typer.Option(help="Distribution of values: normal, log-normal, any, or auto (the widest not refuted)."),
+        typer.Option(
+            help="Distribution of values: normal, log-normal, heavy (tails of Student's t), any, or auto (all that"
+            " the lot may come from)."
+        ),
     ] = "auto",
     include_failed: Annotated[bool, typer.Option("--include-failed", help="Include runs that failed.")] = False,
     allow_mixed: Annotated[

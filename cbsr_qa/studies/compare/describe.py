@@ -13,7 +13,8 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunLine
 from cbsr_qa.stats.crossings import IntArray
-from cbsr_qa.stats.process_capability import Capability, capability, capability_of_extremes, pass_rate
+from cbsr_qa.stats.percentile_capability import percentile_index, percentile_index_of_extremes
+from cbsr_qa.stats.process_capability import Capability, Index, capability, capability_of_extremes, pass_rate
 from cbsr_qa.stats.samples import Interval, quantile, summary
 from cbsr_qa.studies.compare.groups import PASSED, Grouping, decides
 from cbsr_qa.studies.compare.terms import Policy, Quarantine, Terms
@@ -67,6 +68,7 @@ class Distribution(OfMetric):
     mean, deviation, median : in the metric's unit; ``deviation`` is None for one sensor.
     quantiles : value at each share of :data:`QUANTILES`, which is the key; empty without values.
     no_capability : reason if ``capability`` is None.
+    percentile_ppk : Ppk by percentiles, for values of any shape; None for the reason ``no_percentile_ppk``.
     """
 
     group: str
@@ -78,6 +80,8 @@ class Distribution(OfMetric):
     quantiles: dict[str, float] = field(default_factory=dict)
     capability: Capability | None = None
     no_capability: str | None = None
+    percentile_ppk: Index | None = None
+    no_percentile_ppk: str | None = None
 
 
 def groups_of(
@@ -149,6 +153,7 @@ def distribution(
     moments = summary(values, metric.key.label)
     quantiles = {probability: quantile(values, probability, confidence=terms.confidence) for probability in QUANTILES}
     group_capability, why = _estimate_capability(metric, runs, indices, terms)
+    percentile_ppk = None if group_capability is None else _estimate_percentile_index(metric, runs, indices, terms)
     return Distribution(
         *metric.identity,
         group=name,
@@ -160,6 +165,8 @@ def distribution(
         quantiles={f"{probability:g}": estimate.value for probability, estimate in quantiles.items()},
         capability=group_capability,
         no_capability=why,
+        percentile_ppk=percentile_ppk if isinstance(percentile_ppk, Index) else None,
+        no_percentile_ppk=percentile_ppk if isinstance(percentile_ppk, str) else None,
     )
 
 
@@ -171,9 +178,8 @@ def _estimate_capability(
         return None, "no limit"
     try:
         if metric.lower is None or metric.upper is None or metric.per_run == 1:
+            members = _split_by_batch_and_station(_pick_deciding(metric), runs, indices)
             limits = {"lower": metric.lower, "upper": metric.upper, "confidence": terms.confidence}
-            worst = metric.most if metric.lower is None else metric.least
-            members = _split_by_batch_and_station(metric.mean if metric.per_run == 1 else worst, runs, indices)
             return capability(members, what=metric.key.label, **limits), None  # type: ignore[arg-type]
         return capability_of_extremes(
             *(_split_by_batch_and_station(values, runs, indices) for values in (metric.least, metric.most)),
@@ -184,6 +190,28 @@ def _estimate_capability(
         ), None
     except NumericsError as error:
         return None, error.reason
+
+
+def _estimate_percentile_index(
+    metric: MetricValues, runs: Sequence[RunLine], indices: IntArray, terms: Terms
+) -> Index | str:
+    """Return Ppk by percentiles of the values that capability uses, or the reason for none."""
+    if metric.lower is None or metric.upper is None or metric.per_run == 1:
+        members = _split_by_batch_and_station(_pick_deciding(metric), runs, indices)
+        return percentile_index(members, lower=metric.lower, upper=metric.upper, confidence=terms.confidence)
+    return percentile_index_of_extremes(
+        *(_split_by_batch_and_station(values, runs, indices) for values in (metric.least, metric.most)),
+        lower=metric.lower,
+        upper=metric.upper,
+        confidence=terms.confidence,
+    )
+
+
+def _pick_deciding(metric: MetricValues) -> Array:
+    """Return the values that one limit judges: of several per run the worst."""
+    if metric.per_run == 1:
+        return metric.mean
+    return metric.most if metric.lower is None else metric.least
 
 
 def _split_by_batch_and_station(values: Array, runs: Sequence[RunLine], indices: IntArray) -> list[list[float]]:

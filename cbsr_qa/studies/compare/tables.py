@@ -8,6 +8,7 @@ from typing import Final
 from cbsr_qa.domain.numbers import prefix_kind
 from cbsr_qa.domain.results.report import Block, Figure, Paragraph, Section, Table
 from cbsr_qa.report.tables import capital, number, plural, text_table, unit_column, unit_shown
+from cbsr_qa.stats.process_capability import Capability, Index
 from cbsr_qa.stats.samples import Interval
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.describe import QUANTILES
@@ -31,7 +32,10 @@ _VALUES: Final = (
     "One value per sensor as measured, not adjusted for stations; spread is the standard deviation, percentages "
     "are quantiles."
 )
-_CAPABILITY: Final = "Capability against the recipe's limits, not adjusted for stations, with intervals."
+_CAPABILITY: Final = (
+    "Capability against the recipe's limits, not adjusted for stations, with intervals. Only of normal values do Cp"
+    " to Ppk tell the share beyond the limits; Ppk by percentiles is for values of any shape."
+)
 _STRIPS: Final = (
     "{metric}: a row is a group at a station, a point a sensor (an outline where there are many). Line: mean; bar: "
     "middle half of the sensors."
@@ -255,12 +259,27 @@ def _capability_table(comparison: Comparison) -> Iterator[Table]:
         for distribution in metric.distributions if metric.values.limited else ():
             found = distribution.capability
             indices = (None,) * 4 if found is None else (found.cp, found.cpk, found.pp, found.ppk)
-            words = [
-                _NONE if index is None else f"{index.value:.2f} ({index.low:.2f} to {index.high:.2f})"
-                for index in indices
-            ]
+            words = [_NONE if index is None else _format_index(index) for index in indices]
+            percentile = distribution.percentile_ppk
+            by_percentiles = distribution.no_percentile_ppk or _NONE
+            words += [_describe_normality(found), by_percentiles if percentile is None else _format_index(percentile)]
             rows.append((_label(metric), distribution.group, *words, distribution.no_capability or ""))
-    return _table(_CAPABILITY, ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "why not"), rows, (2, 3, 4, 5))
+    columns = ("metric", "group", "Cp", "Cpk", "Pp", "Ppk", "normal?", "Ppk by percentiles", "why not")
+    return _table(_CAPABILITY, columns, rows, (2, 3, 4, 5, 7))
+
+
+def _format_index(index: Index) -> str:
+    return f"{index.value:.2f} ({index.low:.2f} to {index.high:.2f})"
+
+
+def _describe_normality(found: Capability | None) -> str:
+    """Say what the test of normality says, and whether it has enough values to mean something."""
+    if found is None or found.normality is None:
+        return _NONE
+    test = found.normality
+    if test.refuted:
+        return f"no (p: {_p(test.p_value)})"
+    return f"not refuted (p: {_p(test.p_value)})" if test.telling else f"{found.count} values cannot tell"
 
 
 def _table(

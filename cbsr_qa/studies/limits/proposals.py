@@ -11,8 +11,10 @@ from cbsr_qa.domain.numbers import did_you_mean
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.fleet import MetricKey
 from cbsr_qa.domain.results.measurement import Measurement
-from cbsr_qa.stats.golden_lots import Ask, Bound, Distribution, LotLimits, Runs, lot_limits, outward
+from cbsr_qa.stats.golden_lots import Ask, Bound, LotLimits, Runs, lot_limits, outward
 from cbsr_qa.stats.guard_bands import Risks, Uncertainty, repeatability, risks
+from cbsr_qa.stats.intervals import count_needed
+from cbsr_qa.stats.lot_shapes import Distribution
 from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 from cbsr_qa.studies.limits.golden_lot import Lot
 from cbsr_qa.studies.limits.groups import Group
@@ -22,8 +24,21 @@ _DISTRIBUTIONS: Final = {
     "auto": None,
     "normal": Distribution.NORMAL,
     "log-normal": Distribution.LOG_NORMAL,
+    "heavy": Distribution.HEAVY,
     "any": Distribution.ANY,
 }
+
+# Conditions of the promise, in words that follow "holds".
+_WHATEVER: Final = "whatever the distribution of sensors is"
+_AS_STATED: Final = "if sensors are {distribution}, as stated"
+_UP_TO_STUDENT: Final = "for tails up to those of Student's t with {freedom} degrees of freedom"
+_FOR_FAMILIES: Final = (
+    "for normal, log-normal, Weibull and gamma distributions of a run's worst value, and {tails}{heavier}; {one}"
+    " sensors for one bound, {two} for two, need no condition"
+)
+_HEAVIER: Final = " (--distribution heavy: 3)"
+#: Sensors from which limits hold for Student's t with 3 degrees of freedom, see benchmarks/limit_promises.py.
+_SHOWS_HEAVY_TAILS: Final = 100
 
 # Reasons for missing guard bands or risks.
 _NOTHING_LEFT: Final = "guard bands of {width:.3g} {unit} would leave nothing between the limits: measure better"
@@ -44,7 +59,7 @@ class Terms:
     ----------
     coverage, confidence : share of good sensors within each limit by itself, and its confidence.
     guard_factor : width of the guard band over the expanded uncertainty.
-    distribution : distribution of single values; None for the widest limit of those the lot does not reject.
+    distribution : distribution of single values; None for all that the lot may come from.
     """
 
     coverage: float = 0.99
@@ -139,6 +154,7 @@ class ProposedLimit(Judged):
     mean : mean of all values, with equal weight of sensors.
     marginal : width of the guard band, in ``unit``.
     bounds : basis of each side.
+    condition : distributions for which the stated share and confidence hold, in words.
     positive : whether no value of the lot is zero or negative.
     risks : None if unknown for the reason ``no_risks``.
     far_out, without_far_out : serials far from the others, which remain in the lot; limits without them.
@@ -155,6 +171,7 @@ class ProposedLimit(Judged):
     upper: float | None
     marginal: float
     bounds: dict[str, Bound]
+    condition: str
     positive: bool
     uncertainty: RunUncertainty
     risks: ProposedRisks | None
@@ -209,6 +226,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         upper=upper,
         marginal=width,
         bounds=bounds,
+        condition=_describe_condition(bounds.values(), len(group.sensors), terms),
         positive=all(value > 0 for values in values_by_sensor for value in values),
         uncertainty=of_run,
         risks=found_risks,
@@ -220,6 +238,19 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         lot_fails=_list_failing(group, limit),
         lot_marginal=_list_failing(group, limit, Outcome.MARGINAL),
     )
+
+
+def _describe_condition(bounds: Collection[Bound], sensors: int, terms: Terms) -> str:
+    if all(bound.distribution is Distribution.ANY for bound in bounds):
+        return _WHATEVER
+    if terms.distribution is Distribution.HEAVY:
+        return _UP_TO_STUDENT.format(freedom=3)
+    if terms.distribution is not None:
+        return _AS_STATED.format(distribution=terms.distribution)
+    is_large = sensors >= _SHOWS_HEAVY_TAILS
+    one, two = (count_needed(terms.coverage, terms.confidence, sides) for sides in (1, 2))
+    tails = _UP_TO_STUDENT.format(freedom=3 if is_large else 5)
+    return _FOR_FAMILIES.format(tails=tails, heavier="" if is_large else _HEAVIER, one=one, two=two)
 
 
 def _pick_worst(group: Group, worst: Callable[[list[float]], float]) -> Runs:

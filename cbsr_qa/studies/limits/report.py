@@ -8,14 +8,19 @@ from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Page, P
 from cbsr_qa.report.tables import list_names, number, plural, text_table, unit_shown
 from cbsr_qa.stats.golden_lots import Bound
 from cbsr_qa.stats.guard_bands import Risks
+from cbsr_qa.stats.lot_shapes import Distribution
 from cbsr_qa.studies.limits.proposals import ProposedLimit
 from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_others, lot_words
 
 _NONE: Final = "–"
 _LEAST_SHARE: Final = 1e-6  #: smaller risks are meaningless: no distribution is known that far out
+_LEAST_NAMED: Final = 0.05  #: share of a family that is named
 
 # Sentences, in reading order.
-_EACH: Final = "each holds {coverage:g} % of good sensors, with {confidence:g} % confidence{together}; {fails}"
+_EACH: Final = (
+    "each holds {coverage:g} % of good sensors, with {confidence:g} % confidence, if the condition in the notes holds"
+    "{together}; {fails}"
+)
 _TOGETHER: Final = "; all {count} together may fail up to {percent:.3g} %"
 _LOT_FAILS: Final = "of this lot {failing} of {sensors} sensors fail{names}"
 _LIMITS: Final = (
@@ -23,13 +28,14 @@ _LIMITS: Final = (
     "that fail the present limit → the proposed one, and that pass it marginally."
 )
 _BASIS: Final = (
-    "Basis of each limit: the worst value of each run, its distribution, the factor k on the deviation, and the "
-    "limits from other distributions that are not refuted."
+    "Basis of each limit: the worst value of each run, its distribution or shares of families, the factor k on the "
+    "deviation, and the limits from single distributions that are not refuted."
 )
 _GUARD: Final = (
     "Guard band = {factor:g} × k × standard uncertainty u of one run; consumer's and producer's risk (C, P) if "
     "marginal passes are accepted, and if they are refused."
 )
+_CONDITION: Final = "The promise of {labels} holds {condition}."
 _NO_GUARD: Final = "{label}: no guard band: {why}."
 _NO_RISKS: Final = "{label}: no risks: {why}."
 _NEGATIVE: Final = "{label}: the lower limit is not above 0, although all values are: no value can fail it."
@@ -131,14 +137,21 @@ def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
     logs = " of log" if bound.scale.logarithmic else ""
     return (
         f"{worst} of {values}{itself}" if values > 1 else "single",
-        str(bound.distribution),
-        _NONE if bound.factor is None else f"{best[bound.distribution]:.2g}",
+        _families(bound),
+        _NONE if bound.distribution not in best else f"{best[bound.distribution]:.2g}",
         _NONE if bound.factor is None else f"{bound.factor:.3f}{logs}",
         number(bound.worst_mean, 4),
         number(bound.worst_deviation, 4),
         ", ".join(f"{other.distribution} {number(other.limit, 4)}" for other in bound.narrower) or _NONE,
         ", ".join(refuted_names) or _NONE,
     )
+
+
+def _families(bound: Bound) -> str:
+    if bound.distribution is not Distribution.SEVERAL:
+        return str(bound.distribution)
+    named = [family for family in bound.families if family.share >= _LEAST_NAMED]
+    return ", ".join(f"{family.family} {100 * family.share:.0f} %" for family in named)
 
 
 def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
@@ -164,6 +177,11 @@ def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
 
 
 def _notes(proposed: ProposedLimits) -> Iterator[Paragraph]:
+    labels: dict[str, list[str]] = {}
+    for limit in proposed.limits:
+        labels.setdefault(limit.condition, []).append(limit.label)
+    for condition, members in labels.items():
+        yield Paragraph(_CONDITION.format(labels=list_names(members), condition=condition), "note")
     for limit in proposed.limits:
         label = limit.label
         if limit.far_out:

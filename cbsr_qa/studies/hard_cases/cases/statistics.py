@@ -11,8 +11,9 @@ from cbsr_qa.calibration.fits.estimates import best_straight_line, slope
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.readings import reading_noise
-from cbsr_qa.stats.golden_lots import Ask, Distribution, lot_limits
+from cbsr_qa.stats.golden_lots import Ask, lot_limits
 from cbsr_qa.stats.intervals import count_needed, one_sided_factor, two_sided_factor
+from cbsr_qa.stats.lot_shapes import Distribution
 from cbsr_qa.stats.variance_components import components
 from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.exact import DIGITS, largest_relative_error, relative_error
