@@ -95,6 +95,12 @@ def test_deviation_scales_with_its_unit(scale):
     assert summary([scale, 2 * scale, 4 * scale]).deviation == pytest.approx(scale * sqrt(7 / 3), rel=1e-14)
 
 
+def test_the_standard_error_of_a_mean_falls_with_the_root_of_the_count():
+    once, again = summary([1.0, 2.0, 4.0]), summary([1.0, 2.0, 4.0] * 100)
+    assert once.standard_error == pytest.approx(sqrt(7 / 3) / sqrt(3), rel=1e-14)
+    assert again.standard_error == pytest.approx(once.standard_error / 10 * sqrt(200 / 299), rel=1e-12)
+
+
 def test_one_value_has_a_mean_and_nothing_else():
     found = summary([3.0])
     assert (found.mean, found.deviation, found.autocorrelation, found.standard_error) == (3.0, None, None, None)

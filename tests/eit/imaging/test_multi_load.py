@@ -16,7 +16,7 @@ from cbsr_qa.domain.geometry.footprints import RoundFootprint
 from cbsr_qa.domain.imaging import Blob, Image, LinearReconstruction, ParameterChoice
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.eit.imaging.blobs import find_blobs
-from cbsr_qa.eit.imaging.multi_load import assign_regions, split_blobs, two_touch_resolution
+from cbsr_qa.eit.imaging.multi_load import assign_regions, loads_change, split_blobs, two_touch_resolution
 from cbsr_qa.eit.inverse.problem import imaging_problem
 
 PLACES = st.lists(st.tuples(st.floats(-30, 30), st.floats(-30, 30)), max_size=4)
@@ -208,3 +208,12 @@ def test_a_watershed_parts_what_the_mask_does_not(blurring):
 def test_gates_prominences_and_distances_that_are_none_are_refused(blurring, call, wrong, said):
     with pytest.raises(NumericsError, match=said):
         call(blurring(5.0), wrong)
+
+
+def test_loads_change_every_element_by_the_share_of_it_that_they_cover():
+    """Readings that are the integral of the change over the sheet see the area of each head, whatever the mesh."""
+    problem = imaging_problem(load_sensor_type("disc-100mm").value, image_size_mm=4.0)
+    assert np.ptp(problem.mesh.areas_mm2) > 0
+    integrals = np.tile(problem.mesh.areas_mm2, (len(problem.jacobian), 1))
+    change = loads_change(replace(problem, jacobian=integrals), [_load(0.0, 0.0), _load(20.0, 10.0)])
+    assert change == pytest.approx(np.full(len(integrals), 2 * np.pi * 6.5**2), rel=1e-9)

@@ -1,13 +1,14 @@
 """Lines of a run's channel that are no message: refused in words at both ends, and nothing breaks."""
 
 import json
+import os
 import socket
 
 import pytest
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.station.control.client import RunChannel
-from cbsr_qa.station.control.lock import Holder
+from cbsr_qa.station.control.lock import Holder, control_socket
 from cbsr_qa.station.control.server import _content, _number, _Request
 
 NO_MESSAGE = [
@@ -87,3 +88,23 @@ def test_a_reply_that_does_not_say_true_is_no_consent(ok):
             there.sendall(json.dumps(message).encode() + b"\n")
         with pytest.raises(RefusedError, match="the run answers without saying whether it does it"):
             RunChannel(here, 5.0).ask("emergency")
+
+
+@pytest.mark.skipif(os.getuid() != 0, reason="only the superuser can give a file to somebody else")
+def test_the_run_of_another_user_is_refused(tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+    path = control_socket("bench-a")
+    path.parent.mkdir(parents=True)
+    with socket.socket(socket.AF_UNIX) as listening:
+        listening.bind(str(path))
+        listening.listen()
+        os.chown(path, 12345, -1)
+        with pytest.raises(RefusedError, match="the run at station 'bench-a' belongs to another user"):
+            RunChannel.connect("bench-a", timeout_s=0.1)
+
+
+def test_without_a_run_no_channel_is_found(tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+    with pytest.raises(RefusedError) as caught:
+        RunChannel.connect("bench-a", timeout_s=0.1)
+    assert "another user" not in caught.value.reason
