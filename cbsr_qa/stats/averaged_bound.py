@@ -12,7 +12,7 @@ since a larger one costs less width (``benchmarks/limit_promises.py``).
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import exp, log
 from typing import Final
 
@@ -146,19 +146,19 @@ class Average:
         return max(float(stats.shapiro(member.scores()).pvalue) for member in self.members)
 
 
-def average(values: Array, sign: int, largest_of: int) -> Average:
+def average(values: Array, sign: int, largest_of: int = 1, *, positive: bool) -> Average:
     """Weigh all families by a lot's values (n,), of which more than half differ from their median.
 
-    Families of log x count if all values are positive: log-normal, and Weibull (log x is Gumbel's of smallest).
+    Families of log x are log-normal, and Weibull (log x is Gumbel's of smallest).
 
     Parameters
     ----------
     sign : +1 for an upper bound, −1 for a lower one.
     largest_of : number of values of a run, of which each value is the worst.
+    positive : whether the quantity is, so that families of log x count.
     """
     others_weight = min(len(values) / _FULL_WEIGHT_SENSORS, 1.0)
-    is_positive = bool(values.min() > 0)
-    scales = [(NORMAL, False), (LOG_NORMAL, True)] if is_positive else [(NORMAL, False)]
+    scales = [(NORMAL, False), (LOG_NORMAL, True)] if positive else [(NORMAL, False)]
     shapes = [LargestNormal(count) for count in dict.fromkeys((1, largest_of))]
     base_weight = 1 / (len(scales) * len(shapes))
     members = [
@@ -166,11 +166,14 @@ def average(values: Array, sign: int, largest_of: int) -> Average:
         for name, logarithmic in scales
         for shape in shapes
     ]
-    members += [
-        _weigh(values, sign, name, family if sign > 0 else family.mirrored(), logarithmic, others_weight * weight)
-        for name, (family, logarithmic, weight) in _OTHERS.items()
-        if is_positive or not logarithmic
-    ]
+    for name, (family, logarithmic, weight) in _OTHERS.items():
+        if logarithmic and not positive:
+            continue
+        variants = [family if sign > 0 else family.mirrored()]
+        if isinstance(family, Student) and largest_of > 1:
+            variants.append(replace(family, values=largest_of))
+        share = others_weight * weight / len(variants)
+        members += [_weigh(values, sign, name, variant, logarithmic, share) for variant in variants]
     return Average(sign, tuple(members))
 
 

@@ -11,13 +11,14 @@ from math import lgamma, log, pi
 from typing import Final
 
 import numpy as np
-from scipy import optimize, special
+from scipy import integrate, optimize, special
 
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.stats.worst_value import worst_of
 
 _LARGEST_EXPONENT: Final = 500.0
 _LARGEST_SCORE: Final = 12.0
+_LEAST_SHARE: Final = 1e-300
 
 
 class Family(ABC):
@@ -81,24 +82,35 @@ class LargestNormal(Family):
 
 @dataclass(frozen=True)
 class Student(Family):
-    """Student's t with some degrees of freedom."""
+    """Student's t with some degrees of freedom, or the largest of several independent such values."""
 
     freedom: float
+    values: int = 1
 
     def log_density(self, z: Array) -> Array:
         half = (self.freedom + 1) / 2
-        constant = lgamma(half) - lgamma(self.freedom / 2) - 0.5 * log(self.freedom * pi)
+        constant = lgamma(half) - lgamma(self.freedom / 2) - 0.5 * log(self.freedom * pi) + log(self.values)
         log_density: Array = constant - half * np.log1p(np.square(z) / self.freedom)
+        if self.values > 1:
+            share = np.maximum(special.stdtr(self.freedom, z), _LEAST_SHARE)
+            log_density += (self.values - 1) * np.log(share)
         return log_density
 
     def quantile(self, share: float) -> float:
-        return float(special.stdtrit(self.freedom, share))
+        return float(special.stdtrit(self.freedom, share ** (1 / self.values)))
 
     def distribution_function(self, z: Array) -> Array:
-        return np.asarray(special.stdtr(self.freedom, z), dtype=float)
+        return np.asarray(special.stdtr(self.freedom, z) ** self.values, dtype=float)
 
     def moments(self) -> tuple[float, float]:
-        return 0.0, float(np.sqrt(self.freedom / (self.freedom - 2)))
+        if self.values == 1:
+            return 0.0, float(np.sqrt(self.freedom / (self.freedom - 2)))
+
+        def integrand(z: float, power: int) -> float:
+            return z**power * float(np.exp(self.log_density(np.array(z))))
+
+        first, second = (integrate.quad(integrand, -np.inf, np.inf, args=(power,))[0] for power in (1, 2))
+        return float(first), float(np.sqrt(second - first**2))
 
 
 @dataclass(frozen=True)

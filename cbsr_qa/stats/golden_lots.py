@@ -185,7 +185,8 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
     candidates, fits = _fit_distributions(runs, looked_at, values, ask, sign)
     families: tuple[FamilyShare, ...] = ()
     if ask.distribution is None and not _mostly_equal(runs):
-        lot = average(_mean_of_sensors(runs), sign, values)
+        is_positive = Distribution.LOG_NORMAL in looked_at
+        lot = average(_mean_of_sensors(runs), sign, values, positive=is_positive)
         families = lot.shares()
         p_value = lot.p_value()
         fits.append(Fit(p_value, p_value < LEVEL, Distribution.SEVERAL))

@@ -83,7 +83,7 @@ def _weigh_indices(values: Array, lower: float | None, upper: float | None) -> t
     """Return the index at each node of each family's posterior, and the nodes' weights, (N,) each."""
     thinned = np.sort(values)[:: -(-len(values) // _MOST_VALUES)]
     indices, weights = [], []
-    for member, locations, scales, shares in average(thinned, +1, 1).nodes():
+    for member, locations, scales, shares in average(thinned, +1, positive=thinned[0] > 0).nodes():
         low, middle, high = (locations + scales * member.posterior.family.quantile(share) for share in _SHARES)
         if member.logarithmic:
             low, middle, high = (np.exp(np.minimum(end, _LARGEST_LOG)) for end in (low, middle, high))

@@ -11,7 +11,16 @@ from cbsr_qa.stats.families import Contaminated, Gumbel, LargestNormal, Student
 from cbsr_qa.stats.family_posterior import find_posterior
 from cbsr_qa.stats.intervals import one_sided_factor
 
-FAMILIES = [LargestNormal(), LargestNormal(9), Student(5), Student(3), Gumbel(1), Gumbel(-1), Contaminated(0.1, 6)]
+FAMILIES = [
+    LargestNormal(),
+    LargestNormal(9),
+    Student(5),
+    Student(3),
+    Student(5, 9),
+    Gumbel(1),
+    Gumbel(-1),
+    Contaminated(0.1, 6),
+]
 
 
 @pytest.mark.parametrize("family", FAMILIES, ids=str)
@@ -25,13 +34,11 @@ def test_density_quantile_and_distribution_function_are_of_one_distribution(fami
         assert family.distribution_function(np.array([z]))[0] == pytest.approx(share, abs=1e-9)
         assert integral(lambda z: 1.0, -60, z) == pytest.approx(share, abs=2e-4)
         assert family.normal_scores(np.array([z]))[0] == pytest.approx(special.ndtri(share), abs=1e-6)
-        assert family.mirrored().quantile(1 - share) == pytest.approx(-z) or family.values > 1
+        assert family.mirrored().quantile(1 - share) == pytest.approx(-z) or getattr(family, "values", 1) > 1
     mean, deviation = family.moments()
-    draws = 1_000_000
-    uniform = (np.arange(draws) + 0.5) / draws
-    if isinstance(family, (Gumbel, LargestNormal)):  # light tails: the middle of each slice is close enough
-        z = np.array([family.quantile(p) for p in uniform[:: draws // 4000]])
-        assert (z.mean(), z.std()) == pytest.approx((mean, deviation), abs=0.02)
+    z = np.array([family.quantile((k + 0.5) / 4000) for k in range(4000)])
+    # The middle of each slice is close enough, but for the tails of Student's t.
+    assert (z.mean(), z.std()) == pytest.approx((mean, deviation), abs=0.1 if family == Student(3) else 0.02)
     assert np.isfinite(family.log_density(np.array([-1e6, 1e6])).max())
 
 
@@ -57,9 +64,9 @@ def test_two_values_say_the_same_of_every_symmetric_family():
 
 def test_bounds_follow_unit_and_sign():
     values = np.random.default_rng(1).standard_t(4, 25)
-    plain = average(values, 1, 1).bound(0.99, 0.05)
-    assert average(3 * values - 50, 1, 1).bound(0.99, 0.05) == pytest.approx(3 * plain - 50, rel=1e-4)
-    assert average(-values, -1, 1).bound(0.99, 0.05) == pytest.approx(plain, rel=1e-4)
+    plain = average(values, 1, positive=False).bound(0.99, 0.05)
+    assert average(3 * values - 50, 1, positive=False).bound(0.99, 0.05) == pytest.approx(3 * plain - 50, rel=1e-4)
+    assert average(-values, -1, positive=False).bound(0.99, 0.05) == pytest.approx(plain, rel=1e-4)
 
 
 def test_families_are_told_apart_where_a_lot_is_large_enough():
@@ -71,7 +78,9 @@ def test_families_are_told_apart_where_a_lot_is_large_enough():
         (lambda: random.gumbel(size=250), "Gumbel of largest"),
         (lambda: -random.gumbel(size=250), "Gumbel of smallest"),
     ):
-        assert all(average(draw(), sign, 1).shares()[0].family == name for sign in (1, -1))
+        for sign in (1, -1):
+            values = draw()
+            assert average(values, sign, positive=values.min() > 0).shares()[0].family == name
 
 
 @pytest.mark.rest
