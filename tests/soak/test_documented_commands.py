@@ -70,7 +70,7 @@ def test_the_tables_of_what_accuracy_costs_are_those_of_today(tmp_path, monkeypa
     monkeypatch.syspath_prepend(TOP / "docs" / "figures")
     tables = importlib.import_module("write_frontier_tables")
     page = tables.PAGE.read_text()
-    assert_same_tables(page, tables.written(page, [tables.Point.from_document(one) for one in points]))
+    assert_same_tables(page, tables.written(page, [tables.restore(tables.Point, one) for one in points]))
 
 
 def test_the_trials_of_compensation_are_those_of_today():

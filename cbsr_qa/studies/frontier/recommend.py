@@ -167,7 +167,7 @@ def _compare(force: Accuracy, paper: Accuracy) -> str:
     if _is_below_zero(force.subtract(paper, USUAL_ROOM)):
         verdict = "within"
     else:
-        verdict = "not within" if _is_below_zero(paper.subtract(force, 1 / USUAL_ROOM)) else "perhaps not within"
+        verdict = "not within" if _is_below_zero(paper.subtract(force, 1 / USUAL_ROOM)) else "not surely within"
     words = f"{ratio:.2f} ± {stderr:.2f} times that of the paper's campaign on the same sensors"
     return f"{words}, {verdict} the {USUAL_ROOM:g} asked for"
 

@@ -59,6 +59,8 @@ _SERIES: Final = "{repetitions}. •: no other setting is as accurate in less ti
 _ONE_SENSOR: Final = (
     "One simulated sensor: others may differ. •: on this one, no other setting is as accurate in less time."
 )
+#: Of the quick sweep, without and with settings of the station.
+_QUICK: Final = ("quick: few settings", "quick: few settings, one sensor, which shows no scatter")
 _ALIKE: Final = "The same in all rows: {knobs}."
 
 
@@ -90,7 +92,7 @@ def _page(frontier: Frontier) -> Page:
         ("Settings of the station", str(counts[TimeBasis.STATION])),
         ("Settings of the computer", str(counts[TimeBasis.COMPUTER])),
         ("Worth their time", str(sum(bool(point.pareto) for point in points))),
-        ("Sweep", "quick: few settings, one sensor, which shows no scatter" if frontier.quick else "whole"),
+        ("Sweep", _QUICK[bool(counts[TimeBasis.STATION])] if frontier.quick else "whole"),
     ]
     simulated = ("sensors, station and readings",) if counts[TimeBasis.STATION] else ()
     return Page("Frontier", "What accuracy costs in time", banner, tuple(facts), simulated, ())

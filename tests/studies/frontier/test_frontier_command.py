@@ -112,6 +112,22 @@ def test_a_target_that_nothing_meets_is_no_recommendation(sweeps, printed, refus
     assert not recipe.exists()
 
 
+def test_from_one_sensor_nothing_is_recommended_and_a_setting_is_named_to_look_at(
+    sweeps, monkeypatch, printed, capsys
+):
+    one_sensor = [trial for trial in trials() if trial.seed == 0]
+    monkeypatch.setattr(app, "plan_station_work", lambda quick: [Work("one", "one", lambda: one_sensor)])
+    assert run_guarded(["frontier", "--clock", "station", "--quick"]) == 0
+    shown = " ".join(capsys.readouterr().out.split())
+    assert "No setting recommended from one sensor: the only setting within 25 min that was tried" in shown
+    assert "setting to look at 12 places" in shown
+    assert "One simulated sensor: others may differ." in shown
+    assert "±" not in shown
+    recommended = printed("frontier", "--clock", "station", "--quick", "--force-error", "0.2N")["recommended"]
+    assert recommended["setting"] is None
+    assert "one simulated sensor does not show how sensors scatter" in recommended["why"]
+
+
 def test_the_recipe_is_one_that_run_accepts(sweeps, printed, capsys, tmp_path):
     path = tmp_path / "new folder" / "short.toml"
     assert printed("frontier", "--clock", "station", "--recipe", path)["recommended"]["recipe"] == str(path)

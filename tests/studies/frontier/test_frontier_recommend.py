@@ -105,7 +105,7 @@ def test_settings_that_cannot_be_told_from_the_best_are_counted():
             (0.045, 0.05, 0.055, 0.05),
             "2.00 ± 0.00 times that of the paper's campaign on the same sensors, not within",
         ),
-        ((0.05, 0.15, 0.05, 0.1), "perhaps not within the 1.2 asked for"),
+        ((0.05, 0.15, 0.05, 0.1), "not surely within the 1.2 asked for"),
     ],
 )
 def test_without_a_target_it_is_held_against_the_papers_campaign(paper_N, words):
