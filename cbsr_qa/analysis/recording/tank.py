@@ -71,12 +71,15 @@ def reciprocal_noise(changes: Array, used: Mask, pattern: DrivePattern) -> float
     return float(np.sqrt(np.mean((changes[:, first] - sign[both_used] * changes[:, second]) ** 2) / 2))
 
 
-def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
+def find_still(
+    change: Array, match: Matcher, *, noise: str = "the reciprocity error"
+) -> tuple[tuple[Object, ...], str]:
     """Find the objects in one still image.
 
     Parameters
     ----------
     change : (m,) whitened.
+    noise : what the noise was estimated from, in words.
 
     Returns
     -------
@@ -86,7 +89,7 @@ def find_still(change: Array, match: Matcher) -> tuple[tuple[Object, ...], str]:
     if not places or abs(places[0].score) < _DETECTED or explained < _EXPLAINED:
         score = abs(places[0].score) if places else 0.0
         return (), (
-            f"nothing stands out of the noise: the best place scores {score:.1f}"
+            f"nothing stands out from {noise}: the best place scores {score:.1f}"
             f" (at least {_DETECTED:g} is needed) and explains {explained:.0%} of the change"
             f" (at least {_EXPLAINED:.0%})"
         )
@@ -100,7 +103,7 @@ def find_in_rows(changes: Array, match: Matcher) -> tuple[tuple[Object, ...], st
     objects: list[Object] = []
     reasons = []
     for row, change in enumerate(changes):
-        in_row, reason = find_still(change, match)
+        in_row, reason = find_still(change, match, noise="the noise")
         objects += [replace(seen, first=row, last=row, peak=row, track=((row, seen.place),)) for seen in in_row]
         reasons.append(reason)
     return tuple(objects), "" if objects else f"no row shows a load; in the first, {reasons[0]}"

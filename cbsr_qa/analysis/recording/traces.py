@@ -17,11 +17,14 @@ BEFORE_FRAMES = 8  #: at most so many frames before a press are its reference
 _ROUGH_AFTER_FRAMES = 24  #: and so many after the step give its first, rough pattern
 _BEGUN, _REACHED = 0.2, 0.8  #: shares of the plateau at which a press has begun, and is down
 _RELEASED = 0.15  #: least share of the trace that a release reverses
-_SUDDEN = 0.5  #: a release that takes this share of what is left to lose within three frames is that step
+#: A release is sudden if within three frames it takes this share of what is left to lose, and of the steepest fall.
+_SUDDEN = 0.5
+_LET_GO = 0.25  #: least share of the top that a sudden release takes
 _STAYED = 0.5  #: a trace that keeps this share of its top, and decays from there on, was not released
 _HELD = 0.15  #: a trace held first lies above the straight line from top to end by this share of the decline
 _SMOOTH_SHARE = 10  #: averaged over this part of the time, against noise
 _STEADY = 0.25  #: share of the steepest fall that still belongs to the same release
+_STILL_HELD = 0.4  #: least share of the decline that is left at the end of a hold
 _NEARLY = 0.1  #: share of the decline that does not matter
 _DECLINED = 0.25  #: otherwise the end is where this share of the drop is passed
 
@@ -108,13 +111,13 @@ def end_of(along: Array, begin: int, limit: int) -> float:
     last_level = float(span[-min(3, len(span)) :].mean())
     drop = float(span[top]) - last_level
     noise = MAD_TO_SIGMA * float(np.median(np.abs(np.diff(span)))) / np.sqrt(2)
-    least = max(_RELEASED * float(span[top]), 4 * noise)
-    if drop < least:
+    if drop < max(_RELEASED * float(span[top]), 4 * noise):
         return float(limit - 1)
     reach = min(3, len(span) - 1 - top)
     if reach > 0:
         falls = span[top:-reach] - span[top + reach :]
         # A load that relaxed while it was held has less to lose than at its top.
+        least = max(_LET_GO * float(span[top]), 4 * noise, _SUDDEN * float(falls.max()))
         sudden = np.flatnonzero(falls >= np.maximum(_SUDDEN * (span[top:-reach] - last_level), least))
         if len(sudden):
             last_fall = sudden[sudden >= sudden[-1] - reach]
@@ -146,7 +149,8 @@ def _last_held(part: Array, drop: float, noise: float) -> int:
     down = int(np.argmax(calm <= calm[-1] + _NEARLY * drop)) + 1
     above = calm[:down] - np.linspace(calm[0], calm[down - 1], down)
     knee = int(np.argmax(above))
-    return knee + window // 2 if above[knee] > _NEARLY * drop + noise / np.sqrt(window) else 0
+    is_bent = above[knee] > _NEARLY * drop + noise / np.sqrt(window)
+    return knee + window // 2 if is_bent and calm[knee] > calm[-1] + _STILL_HELD * drop else 0
 
 
 def _fades(part: Array, drop: float, noise: float) -> bool:
