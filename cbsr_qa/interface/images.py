@@ -77,14 +77,14 @@ def image(
             f"{'both differences and' if differences else 'neither differences nor'} a reference",
             remedy="give frames of the unloaded sheet, or differences=True if the frames are changes from it",
         )
-    named_type = sensor_type_of(cast(Frames, frames), sensor_type)
     if pattern is None:
         if complex_part is not None:
             raise RefusedError("complex_part without a pattern", remedy="give the pairs of the columns")
         block = frame_block(cast(Frames, frames))
         unloaded = None if reference is None else frame_block(cast(Frames, reference))
+        named_type = sensor_type_of(cast(Frames, frames), sensor_type)
     else:
         row_options = RowOptions(pattern, differences, reference, complex_part)
-        recording, named_type = rows_recording(frames, row_options, named_type)
+        recording, named_type = rows_recording(frames, row_options, sensor_type_of(cast(Frames, frames), sensor_type))
         block, unloaded = recording.frames, recording.reference
     return Images(image_outcome(image_frames(block, unloaded, named_type, chosen, tell=progress or quiet)))

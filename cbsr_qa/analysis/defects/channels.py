@@ -29,6 +29,8 @@ _MEMORY_SPREAD = 0.03
 _SILENT_COUNTS = 2.0
 #: Channels are at one level if their means scatter by at most this many standard errors of them.
 _LEVEL_ERRORS = 2.0
+#: They stand there if all readings are within this share of the level; two levels are so many standard errors apart.
+_NARROW, _FAR_APART = 0.01, 30.0
 #: Fewest channels of a full scan with several levels: a sheet's readings fall with distance.
 _FEWEST_CHANNELS = 49
 _CONVERTER_ENDS = (2**16 - 1, -(2**15))
@@ -118,9 +120,10 @@ def _count_levels(block: FrameBlock, missing: Mask) -> int:
     means = np.sort(present.mean(axis=0))
     error = float(np.median(channel_noise(present, counts=block.unit is VoltageUnit.COUNT))) / np.sqrt(len(block))
     if means.std() <= _LEVEL_ERRORS * error:
-        return 1
+        return 1 if ends[1] - ends[0] <= _NARROW * max(map(abs, ends)) else 0
     gap = int(np.argmax(np.diff(means))) + 1
-    return 2 if max(means[:gap].std(), means[gap:].std()) <= _LEVEL_ERRORS * error and 1 < gap < len(means) - 1 else 0
+    is_apart = means[gap] - means[gap - 1] > _FAR_APART * error and 1 < gap < len(means) - 1
+    return 2 if is_apart and max(means[:gap].std(), means[gap:].std()) <= _LEVEL_ERRORS * error else 0
 
 
 def _find_rail_clipping(block: FrameBlock, missing: Mask) -> Mask:

@@ -34,7 +34,7 @@ _SEPARATE = 0.25
 _TAKEN_OUT, _TAKEN_PATTERNS = 0.2, 6
 #: It must then stand out of the noise by this (noise alone reaches it at one of all places once in 10 000 changes)
 #: and of what the model leaves of the strong ones, as shares of energy …
-_WEAK_GAIN, _MODEL_LEAVES = 30.0, 1.5e-3
+_WEAK_GAIN, _MODEL_LEAVES = 30.0, 2e-3
 #: … and explain this share of what is left above noise: a sheet unlike the model leaves changes unlike any load.
 _WEAK_EXPLAINED = 0.65
 _ROBUST_ROUNDS = 8
