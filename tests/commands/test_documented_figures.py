@@ -29,13 +29,11 @@ def said(page, pattern):
 
 
 def test_the_factors_of_limits():
-    factors = said(
-        "limits.md", r"with ten sensors the factor on s is ([\d.]+) on one side, with thirty ([\d.]+), with"
-    )
+    factors = said("limits.md", r"the factor on s is ([\d.]+) on one side with ten sensors, ([\d.]+) with thirty,")
     assert factors == [round(one_sided_factor(0.99, 0.95, count, count - 1), 2) for count in (10, 30)]
-    beyond = said("limits.md", r"99 % point lies ([\d.]+) deviations above its mean for nine values, not (\d\.\d+)")
+    beyond = said("limits.md", r"of nine, the 99 % point lies ([\d.]+) deviations above the mean, not (\d\.\d+)")
     assert beyond == [round(worst_of(values).quantile(0.99), 2) for values in (9, 1)]
-    needed = said("limits.md", r"needs no distribution but (\d+) sensors for one bound and (\d+) for two")
+    needed = said("limits.md", r"From (\d+) sensors on \((\d+) for two bounds\)")
     assert needed == [count_needed(0.99, 0.95, sides) for sides in (1, 2)]
 
 
