@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
+from cbsr_qa.domain.goodness import LEAST_EXPLAINED
 from cbsr_qa.domain.numbers import Array
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
@@ -136,7 +137,9 @@ def find_places(
 
 
 def _resolves_loads(change: Array, match: Matcher, chosen: list[int], left_before: float) -> bool:
-    """Whether places explain so much more than fewer did that these were between them."""
+    """Whether places explain so much more than fewer did, which were unlike loads, that these were between them."""
+    if left_before < (1 - LEAST_EXPLAINED) * float(change @ change):
+        return False
     weights, *_ = np.linalg.lstsq(match.patterns[:, chosen], change, rcond=None)
     left = float(np.sum(_fit_residual(change, match, chosen) ** 2))
     alike = weights / weights[np.argmax(np.abs(weights))]
