@@ -37,7 +37,7 @@ _TAKEN_OUT, _TAKEN_PATTERNS = 0.2, 6
 #: and of what the model leaves of the strong ones, as shares of energy …
 _WEAK_GAIN, _MODEL_LEAVES = 30.0, 2e-3
 #: … and explain this share of what is left above noise: a sheet unlike the model leaves changes unlike any load.
-_WEAK_EXPLAINED = 0.65
+_WEAK_EXPLAINED = 0.7
 _ROBUST_ROUNDS = 8
 _HUBER = 1.5
 _HIDDEN = 0.2  #: a place whose pattern is nearer than this to those taken out cannot be looked at
