@@ -11,6 +11,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
+from cbsr_qa.domain.goodness import LEAST_EXPLAINED
 from cbsr_qa.domain.numbers import Array
 
 #: A further load must explain this share of the whole change, and of what the first one explains.
@@ -36,7 +37,7 @@ _TAKEN_OUT, _TAKEN_PATTERNS = 0.2, 6
 #: and of what the model leaves of the strong ones, as shares of energy …
 _WEAK_GAIN, _MODEL_LEAVES = 30.0, 2e-3
 #: … and explain this share of what is left above noise: a sheet unlike the model leaves changes unlike any load.
-_WEAK_EXPLAINED = 0.65
+_WEAK_EXPLAINED = 0.7
 _ROBUST_ROUNDS = 8
 _HUBER = 1.5
 _HIDDEN = 0.2  #: a place whose pattern is nearer than this to those taken out cannot be looked at
@@ -136,7 +137,9 @@ def find_places(
 
 
 def _resolves_loads(change: Array, match: Matcher, chosen: list[int], left_before: float) -> bool:
-    """Whether places explain so much more than fewer did that these were between them."""
+    """Whether places explain so much more than fewer did, which were unlike loads, that these were between them."""
+    if left_before < (1 - LEAST_EXPLAINED) * float(change @ change):
+        return False
     weights, *_ = np.linalg.lstsq(match.patterns[:, chosen], change, rcond=None)
     left = float(np.sum(_fit_residual(change, match, chosen) ** 2))
     alike = weights / weights[np.argmax(np.abs(weights))]

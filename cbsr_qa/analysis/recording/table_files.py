@@ -94,7 +94,7 @@ def check_form(part: ComplexPart | None, *, differences: bool, rest: bool) -> No
         )
     if differences and part not in (None, ComplexPart.REAL):
         raise RefusedError(
-            f"differences have no {part} of their own: the readings of the unloaded sheet are not in them",
+            f"differences have no {part}: the readings of the unloaded sheet are not in them",
             remedy="give whole frames, or take the real part",
         )
 
