@@ -48,7 +48,7 @@ ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/calibration/file/hdf5.py", "h5py.h5f.open_file_image"): (1, MEMORY),
     ("cbsr_qa/calibration/file/keys.py", "os.fdopen"): (1, WRITES),
     ("cbsr_qa/calibration/file/keys.py", "os.open"): (1, WRITES),
-    ("cbsr_qa/calibration/presses/inputs.py", "read_table"): (1, READER),
+    ("cbsr_qa/calibration/presses/frame_tables.py", "read_table"): (2, READER),
     ("cbsr_qa/calibration/presses/number_tables.py", "parquet.ParquetFile"): (1, MEMORY),
     ("cbsr_qa/calibration/presses/tables.py", "read_table"): (2, READER),
     ("cbsr_qa/cli/line.py", "json.loads"): (1, OWN),
