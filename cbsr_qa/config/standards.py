@@ -7,13 +7,15 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from cbsr_qa.config.tables import IsoDate, as_domain
-from cbsr_qa.domain.plan.standards import ReferenceStandard, StandardRole
+from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.plugin.problems import Problem, Table
 
 _Text = Annotated[str, Field(min_length=1, max_length=200)]
 #: Largest coverage factor: k of 95 % with a single degree of freedom is 12.7.
 _LARGEST_K = 14.0
+#: Expanded uncertainty relative to a value from which nothing is known of it [%].
+_LARGEST_PERCENT = 100.0
 
 
 class _StandardTable(Table):
@@ -25,8 +27,12 @@ class _StandardTable(Table):
     due: IsoDate
     uncertainty: Annotated[float, Field(gt=0, le=1e6)]
     k: Annotated[float, Field(ge=1, le=_LARGEST_K)]
+    unit: str
 
     def problems(self, role: StandardRole) -> Iterator[Problem]:
+        if self.unit == PERCENT and self.uncertainty >= _LARGEST_PERCENT:
+            finding = f"is {self.uncertainty:g} %, which states nothing of the value"
+            yield Problem(("standards", role, "uncertainty"), finding, f"allowed: below {_LARGEST_PERCENT:g} %")
         if not date.fromisoformat(self.date) < date.fromisoformat(self.due):
             yield Problem(("standards", role, "due"), f"{self.due} is not after the date of calibration, {self.date}")
 
@@ -56,6 +62,11 @@ class StandardsTable(Table):
         if self.indenter is not None and self.indenter.unit == "mm" and head.outline_mm:
             finding = 'is "mm", of a diameter, and the head of the station is not round'
             yield Problem(("standards", "indenter", "unit"), finding, 'give the uncertainty of its area in "%"')
+        elif (
+            self.indenter is not None and self.indenter.unit == "mm" and self.indenter.uncertainty >= head.diameter_mm
+        ):
+            finding = f"is {self.indenter.uncertainty:g} mm, of a head of {head.diameter_mm:g} mm"
+            yield Problem(("standards", "indenter", "uncertainty"), finding, "allowed: less than the diameter")
 
     def to_domain(self) -> tuple[ReferenceStandard, ...]:
         return tuple(as_domain(ReferenceStandard, table, role=role.value) for role, table in self._tables())

@@ -52,6 +52,7 @@ def test_a_station_without_certificates_states_none(read):
         ("uncertainty = 0.5", "uncertainty = 0", "standards.load_cell.uncertainty is 0"),
         ("uncertainty = 0.5", "uncertainty = -0.5", "standards.load_cell.uncertainty is -0.5"),
         ("uncertainty = 0.5", "uncertainty = nan", "standards.load_cell.uncertainty is not a finite number"),
+        ("uncertainty = 0.5", "uncertainty = 200", "standards.load_cell.uncertainty is 200 %, which states nothing"),
         ("k = 2", "k = 0.5", "standards.load_cell.k is 0.5"),
         ('"K-2026-0711"', '""', "standards.load_cell.certificate is ''"),
         ('"2027-03-31"', '"2026-03-02"', "standards.load_cell.due 2026-03-02 is not after the date of calibration"),

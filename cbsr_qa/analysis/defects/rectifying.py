@@ -2,8 +2,8 @@
 
 import numpy as np
 
-from cbsr_qa.calibration.presses.answering import AnsweringSide, compare_sides
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.answering import AnsweringSide, compare_sides
 
 _LEAST_SIDE = 0.2  #: a front end may lose a polarity with at least this share of the readings
 _LEAST_SPREAD = (

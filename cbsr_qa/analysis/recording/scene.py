@@ -26,9 +26,9 @@ from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_l
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_in_rows, find_moving, find_still, fit_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
-from cbsr_qa.calibration.presses.answering import AnsweringSide
 from cbsr_qa.domain.goodness import Goodness
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.readings.answering import AnsweringSide
 from cbsr_qa.domain.readings.frames import Recording
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 

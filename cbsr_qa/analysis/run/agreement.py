@@ -15,8 +15,8 @@ from cbsr_qa.calibration.fits.agreement import (
     refuse_comparison,
 )
 from cbsr_qa.calibration.fits.common_relaxation import fit_common_relaxation
+from cbsr_qa.calibration.fits.kernel_curve import KernelCurve
 from cbsr_qa.calibration.fits.settling import relaxation_start
-from cbsr_qa.calibration.strip.relaxation import KernelCurve
 from cbsr_qa.domain.results.observation import LoadObservation, RelaxationObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
 from cbsr_qa.domain.sensor.sensor_type import StripRelaxation

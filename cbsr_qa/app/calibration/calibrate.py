@@ -54,21 +54,22 @@ class HeldOutQuantity:
 
     Parameters
     ----------
-    coverage : share of them whose interval of 68 and 95 % holds the label.
+    coverage : share of them whose interval of 68 and 95 % holds the label; None if their places are too few to tell.
     not_counted : why ``n`` is not the number of presses that were used; None if it is.
     """
 
     mean: float
     stderr: float
     n: int
-    coverage: dict[str, float]
+    coverage: dict[str, float | None]
     not_counted: str | None
 
     @classmethod
     def from_learned(cls, learned: LearnedQuantity | None, issued: PressCalibration) -> "HeldOutQuantity | None":
         if learned is None:
             return None
-        coverage = dict(zip(("68", "95"), learned.covered.tolist(), strict=True))
+        shares = (None, None) if issued.covered_68 is None else learned.covered.tolist()
+        coverage: dict[str, float | None] = dict(zip(("68", "95"), shares, strict=True))
         kept = len(learned.values)
         thinned = f"{kept} are kept, evenly over the session" if kept < issued.used else None
         reasons = "; ".join(why for why in (thinned, _describe_recheck(issued)) if why)
@@ -218,7 +219,9 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
         if quantity is not None:
             error = f"{with_uncertainty(quantity.mean, quantity.stderr)} {unit}"
             facts.append((f"Error of {name}", f"{error}, {_format_count(quantity)}"))
-            facts.append((f"Intervals hold the {name}", _format_coverage(*quantity.coverage.values())))
+            low, high = quantity.coverage.values()
+            if low is not None and high is not None:
+                facts.append((f"Intervals hold the {name}", _format_coverage(low, high)))
     if issued.force is not None:
         facts.append(("Errors of force include", describe_force_error(())))
     if issued.registration.trusted:

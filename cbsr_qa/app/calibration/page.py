@@ -9,7 +9,7 @@ from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, press_c
 from cbsr_qa.app.calibration.shown import Settling, ShownCalibration
 from cbsr_qa.calibration.file.entries import Issued
 from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued, verify_calibration_file
-from cbsr_qa.domain.plan.standards import StandardRole
+from cbsr_qa.domain.plan.standards import PERCENT, StandardRole
 from cbsr_qa.domain.results.calibration import BaselineConductance, VerifiedFile
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Paragraph, Section, Table
@@ -113,10 +113,11 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
     )
     least, most = force.stress_kPa
     yield f"Learned from loads of {least:.3g} to {most:.3g} kPa, {force.hold_s:.3g} s after the press."
-    yield f"Standard errors of force: {shown.force_error}."
+    yield f"Standard errors of force include {shown.force_error}."
     for standard in shown.standards:
         if standard.role == StandardRole.INDENTER:
-            yield f"Area of the head, which counts for forces of other heads: {standard.words()}."
+            size = "area" if standard.unit == PERCENT else "diameter"
+            yield f"Head, whose {size} counts for forces of other heads: {standard.words()}."
 
 
 def _settling(summaries: tuple[Settling, ...]) -> Table:

@@ -63,12 +63,14 @@ class LabelledPresses:
     Parameters
     ----------
     radius_stated : True if the sensor type states the sheet's size; False to estimate it.
+    row_shift : number of rows by which the places were shifted.
     """
 
     sensor_type: SensorType
     radius_stated: bool
     readings: PressReadings
     presses: PressTable
+    row_shift: int = 0
 
     def some(self, rows: Indices) -> "LabelledPresses":
         """Select presses, in the order of ``rows``."""
@@ -137,7 +139,8 @@ def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:
             remedy="give a shift by a few rows",
         )
     rows = np.arange(max(0, -shift), count - max(0, shift))
-    return replace(labelled, readings=labelled.readings.some(rows), presses=labelled.presses.some(rows + shift))
+    readings, presses = labelled.readings.some(rows), labelled.presses.some(rows + shift)
+    return replace(labelled, readings=readings, presses=presses, row_shift=shift)
 
 
 def check_rows(readings: PressReadings, presses: PressTable) -> None:

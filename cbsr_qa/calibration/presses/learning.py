@@ -139,7 +139,9 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     row_order = None
     if held_out.mean_mm > DOUBTFUL_SHARE * guess_mm:
         tell("looking for rows out of step")
-        row_order = find_row_order(np.where(used_mask[:, None], readings.changes, 0.0), presses.place_mm)
+        row_order = find_row_order(
+            np.where(used_mask[:, None], readings.changes, 0.0), presses.place_mm, row_shift=labelled.row_shift
+        )
     quantities = {
         name: _learn_quantity(name, values[used_mask], learned_place, tell)
         for name, unit in PRESS_QUANTITIES.items()

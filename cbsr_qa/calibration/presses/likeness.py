@@ -7,9 +7,9 @@ import numpy as np
 from scipy.ndimage import distance_transform_edt
 
 from cbsr_qa.calibration.place.modelled import log_likelihood, log_likelihood_slopes, most_alike, unit_rows
-from cbsr_qa.calibration.presses.answering import AnsweringSide, compare_sides
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain.numbers import Array, Indices, Mask
+from cbsr_qa.domain.readings.answering import AnsweringSide, compare_sides
 
 #: Log likelihood of a press off the sheet.
 _OFF_SHEET: Final = -1.0

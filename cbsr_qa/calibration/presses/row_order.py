@@ -47,11 +47,15 @@ def guess_error(place_mm: Array) -> float:
     return float(np.linalg.norm(place_mm - np.median(place_mm, axis=0), axis=1).mean())
 
 
-def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
+def find_row_order(changes: Array, place_mm: Array, *, row_shift: int = 0) -> RowOrder | None:
     """Find an order of rows in which readings (n, m) and places (n, 2) fit clearly better; None without one.
 
     Tried are shifts by one to three rows, a row that one of the tables lacks, anywhere, and the reverse order. Rows
     without a change count for the order only.
+
+    Parameters
+    ----------
+    row_shift : shift that was applied to these rows; the advice is the whole shift of the tables.
     """
     rows = np.arange(len(changes))
     if len(rows) > 2 * _MAX_PRESSES:
@@ -70,7 +74,7 @@ def find_row_order(changes: Array, place_mm: Array) -> RowOrder | None:
 
     labelled_error_mm = measure_error(np.arange(len(changes)))
     words, best_error_mm = min(
-        ((words, measure_error(order)) for words, order in _list_orders(len(changes), rows)),
+        ((words, measure_error(order)) for words, order in _list_orders(len(changes), rows, row_shift)),
         key=lambda candidate: candidate[1],
     )
     if best_error_mm > _MAX_ERROR_SHARE * min(labelled_error_mm, guess_error(place_mm)):
@@ -93,7 +97,7 @@ def _invert_kernels(changes: Array) -> Iterator[Array]:
             yield np.asarray(np.linalg.inv(kernel), dtype=np.float64)
 
 
-def _list_orders(count: int, rows: Indices) -> Iterator[tuple[str, Indices]]:
+def _list_orders(count: int, rows: Indices, row_shift: int) -> Iterator[tuple[str, Indices]]:
     """Yield orders of the labels' rows, each with its meaning in words.
 
     An order is the row (n,) of the label of each press; rows beyond either end continue at the other.
@@ -102,10 +106,9 @@ def _list_orders(count: int, rows: Indices) -> Iterator[tuple[str, Indices]]:
     for shift in _SHIFTS:
         side = "below" if shift > 0 else "above"
         rows_text = "row" if abs(shift) == 1 else "rows"
-        yield (
-            f"places stand {abs(shift)} {rows_text} {side} their readings (--row-shift {shift}, to another file)",
-            numbers + shift,
-        )
+        whole_shift = shift + row_shift
+        advice = f"give --row-shift {whole_shift}" if whole_shift else "leave --row-shift out"
+        yield f"places stand {abs(shift)} {rows_text} {side} their readings ({advice})", numbers + shift
     yield "one of the tables is in the reverse order", numbers[::-1]
     for before, row in zip(rows[_MIN_BESIDE - 1 :].tolist(), rows[_MIN_BESIDE:-_MIN_BESIDE].tolist(), strict=False):
         from_row = numbers >= row

@@ -1,8 +1,8 @@
 """Report of a gauge study: one section per metric, with grades, tables and the six panels."""
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from math import sqrt
-from typing import Final, TypeVar
+from typing import Final
 
 from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Figure, Page, Paragraph, Section, Table
 from cbsr_qa.report.tables import (
@@ -14,12 +14,11 @@ from cbsr_qa.report.tables import (
     text_table,
     unit_column,
     unit_shown,
-    with_uncertainty,
 )
-from cbsr_qa.stats.gauge.reference import FEWEST_CHARTED
-from cbsr_qa.stats.gauge.type1 import CAPABLE, SHARE_OF_TOLERANCE
-from cbsr_qa.stats.samples import Estimate, Interval
-from cbsr_qa.studies.gauge.references import AgainstReferences, Bias, BiasLinearity, BiasStability, Type1
+from cbsr_qa.stats.gauge.type1 import CAPABLE
+from cbsr_qa.stats.samples import Interval
+from cbsr_qa.studies.gauge.reference_tables import list_reference_tables
+from cbsr_qa.studies.gauge.references import Type1
 from cbsr_qa.studies.gauge.study import GaugeStudy, MetricGauge
 
 #: AIAG's bands for the gauge's share of the study variation or of the tolerance [%], and for categories.
@@ -89,7 +88,8 @@ def _banner(study: GaugeStudy) -> Banner:
         (metric.anova.components.gauge.percent_study, metric.title) for metric in study.metrics if metric.anova
     ]
     if not metric_percents:
-        return Banner("plain", _NONE, "No gauge study", "bias alone is shown; what is missing is named below")
+        type1_studies = [one for metric in study.metrics if metric.references for one in metric.references.type1]
+        return _summarise_type1([one for one in type1_studies if one.cg is not None])
     worst_percent, label = max(metric_percents)
     tone, symbol = ("pass", "✓") if worst_percent < _GOOD_PERCENT else ("marginal", "≈")
     if worst_percent > _POOR_PERCENT:
@@ -98,6 +98,19 @@ def _banner(study: GaugeStudy) -> Banner:
     grade, _, band = _grade(worst_percent).partition(" (")
     reason = f"{_percent(worst_percent)} of the study variation in {label}{worst_of} ({band}"
     return Banner(tone, symbol, f"The gauge is {grade}", reason)
+
+
+def _summarise_type1(studies: Sequence[Type1]) -> Banner:
+    """Return the headline of a study that nothing crosses."""
+    if not studies:
+        return Banner("plain", _NONE, "No gauge study", "bias alone is shown; what is missing is named below")
+    reason = f"Cg or Cgk is below {CAPABLE:g} in {sum(one.capable is False for one in studies)} of {len(studies)}"
+    reason += "; sensors and stations are not crossed"
+    if any(one.capable is False for one in studies):
+        return Banner("fail", "✗", "Not capable by the type 1 study", reason)
+    if all(one.capable for one in studies):
+        return Banner("pass", "✓", "Capable by the type 1 study", reason)
+    return Banner("marginal", "≈", "Capability is not shown by the type 1 study", reason)
 
 
 def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
@@ -113,7 +126,7 @@ def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
             yield Paragraph(f"Uneven: {list_names(metric.missing)}.", "note")
     yield from (Paragraph(f"{capital(note)}.", "note") for note in metric.notes)
     if metric.references is not None:
-        yield from _reference_tables(metric.references, metric.unit, study)
+        yield from list_reference_tables(metric.references, metric.unit, study)
 
 
 def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
@@ -222,106 +235,6 @@ def _anova(metric: MetricGauge) -> Table:
     columns = ("source", "degrees of freedom", "sum of squares", "mean square", "F", "p")
     table = text_table(f"Analysis of variance; the interaction is {pooled}.", columns, rows, range(1, 6))
     return Table(table.caption, table.columns, table.rows, table.numeric, folded=True)
-
-
-def _reference_tables(references: AgainstReferences, unit: str, of: GaugeStudy) -> Iterator[Table]:
-    interval_column, appraiser = f"{100 * of.confidence:g} % interval", of.appraiser
-    columns: tuple[str, ...] = ("sensor", appraiser, unit_column("reference", unit), "runs")
-    columns += (unit_column("bias", unit), interval_column, "p", "result")
-    yield from _table("Bias against reference values", columns, references.bias, _bias, range(2, 7))
-    columns = (
-        appraiser,
-        "slope of the bias",
-        interval_column,
-        unit_column("references", unit),
-        "bias depends on value",
-        "bias",
-    )
-    yield from _table("Linearity of the bias", columns, references.linearity, _linearity, range(1, 4))
-    columns = ("sensor", appraiser, unit_column("drift per day", unit), interval_column, "control chart")
-    yield from _table("Stability over time", columns, references.stability, _stability, range(2, 4))
-    columns = (
-        "sensor",
-        appraiser,
-        "runs",
-        "Cg",
-        interval_column,
-        "Cgk",
-        interval_column,
-        f"both {CAPABLE:g} or more",
-    )
-    title = (
-        f"Type 1 study: {100 * SHARE_OF_TOLERANCE:g} % of the tolerance over six standard deviations (Cg), less the"
-    )
-    yield from _table(f"{title} bias (Cgk)", columns, references.type1, _type1, range(2, 7))
-
-
-_Row = TypeVar("_Row", Bias, BiasLinearity, BiasStability, Type1)
-
-
-def _table(
-    what: str,
-    columns: tuple[str, ...],
-    rows: Sequence[_Row],
-    cells: Callable[[_Row], tuple[str, ...]],
-    numeric: range,
-) -> Iterator[Table]:
-    """Lay out rows, if any; a reason shared by many unknown rows is given once."""
-    whys = tuple(dict.fromkeys(row.why for row in rows if row.why))
-    caption = f"{what}; {_NONE}: {list_names(whys)}." if whys else f"{what}."
-    if rows:
-        yield text_table(caption, columns, [cells(row) for row in rows], numeric)
-
-
-def _bias(bias: Bias) -> tuple[str, ...]:
-    reference = with_uncertainty(bias.reference, bias.uncertainty)
-    first_cells = (bias.serial, bias.appraiser or _NONE, reference, str(bias.runs))
-    if bias.bias is None:
-        return *first_cells, *[_NONE] * 4
-    return (
-        *first_cells,
-        *_format_estimate(bias.bias),
-        number(bias.bias.p, 2),
-        "not significant" if bias.bias.holds_zero else "biased",
-    )
-
-
-def _linearity(linearity: BiasLinearity) -> tuple[str, ...]:
-    if linearity.slope is None or linearity.references is None:
-        return linearity.appraiser, *[_NONE] * 5
-    ends = " to ".join(map(number, linearity.references))
-    depends = "not significant" if linearity.slope.holds_zero else "yes"
-    return (
-        linearity.appraiser,
-        *_format_estimate(linearity.slope),
-        ends,
-        depends,
-        "not significant" if linearity.acceptable else "yes",
-    )
-
-
-def _stability(stability: BiasStability) -> tuple[str, ...]:
-    if stability.drift_per_day is None:
-        return stability.serial, stability.appraiser, *[_NONE] * 3
-    chart = f"fewer than {FEWEST_CHARTED} runs" if stability.in_control is None else stability.signal or "in control"
-    return stability.serial, stability.appraiser, *_format_estimate(stability.drift_per_day), chart
-
-
-def _type1(study: Type1) -> tuple[str, ...]:
-    first_cells = (study.serial, study.appraiser, str(study.runs))
-    if study.cg is None or study.cgk is None:
-        return *first_cells, *[_NONE] * 5
-    indices = [
-        cell
-        for index in (study.cg, study.cgk)
-        for cell in (format_fixed(index.value, 2), f"{format_fixed(index.low, 2)} to {format_fixed(index.high, 2)}")
-    ]
-    capable = "not shown" if study.capable is None else "yes" if study.capable else "no"
-    return *first_cells, *indices, capable
-
-
-def _format_estimate(estimate: Estimate) -> tuple[str, str]:
-    return number(estimate.value), f"{number(estimate.low)} to {number(estimate.high)}"
 
 
 def _ends(interval: Interval, digits: int = 3) -> str:

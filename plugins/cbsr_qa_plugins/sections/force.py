@@ -71,11 +71,11 @@ class Force(ObservedSection):
 
 def _describe_error(result: RunResult) -> str:
     if result.calibration is None:
-        return "Standard errors in this section are of scatter only, against the station's own load cell."
+        return "Standard errors in this section include scatter only, against the station's own load cell."
     included = describe_force_error(result.calibration.standards)
     return (
-        "Standard errors in this section are of scatter only, against the station's own load cell. Those that the"
-        f" calibration states of a force: {included}."
+        "Standard errors in this section include scatter only, against the station's own load cell. Standard errors"
+        f" that the calibration states of a force include {included}."
     )
 
 

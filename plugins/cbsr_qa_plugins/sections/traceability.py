@@ -1,10 +1,11 @@
 """What the numbers can be traced to, and the state of the station when the run was made."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from datetime import datetime
 from itertools import pairwise
 from typing import Final
 
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.plugin import (
     Block,
     ChangeHistory,
@@ -41,6 +42,8 @@ class Traceability(RunSection):
         """Return the tables; those of overrides and sessions only if there are any."""
         record = result.record
         yield from (_instruments(record), _sensor(record))
+        if result.calibration is not None and result.calibration.standards:
+            yield _standards(result.calibration.standards)
         if result.observation is not None:
             yield _analysis(result.observation)
         if result.overrides:
@@ -62,6 +65,15 @@ def _instruments(record: RunRecord) -> Table:
         rows.append([i.role, i.model, i.serial or "–", i.firmware or "–", i.driver, simulated, due, notes])
     columns = ("Role", "Model", "Serial", "Firmware", "Driver", "Simulated", "Calibration due", "Notes")
     return text_table("Instruments on the bench, as they identified themselves.", columns, rows)
+
+
+def _standards(standards: Sequence[ReferenceStandard]) -> Table:
+    rows = [
+        [s.role_words, s.certificate, s.laboratory, s.date, s.due, f"{s.uncertainty:g} {s.unit}", f"{s.k:g}"]
+        for s in standards
+    ]
+    columns = ("Role", "Certificate", "Laboratory", "Calibrated", "Due", "U", "k")
+    return text_table("Reference standards, as the station states them.", columns, rows, (5, 6))
 
 
 def _sensor(record: RunRecord) -> Table:

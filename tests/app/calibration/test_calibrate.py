@@ -13,7 +13,7 @@ from typer.testing import CliRunner
 
 from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.analysis.recording_files import write_recording
-from cbsr_qa.app.calibration.calibrate import HeldOut
+from cbsr_qa.app.calibration.calibrate import HeldOut, press_facts
 from cbsr_qa.app.stream.source import FramesFrom
 from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
 from cbsr_qa.calibration.force.inverse import flag_names
@@ -99,6 +99,15 @@ def test_presses_that_are_not_counted_are_explained():
     assert rechecked.place_mm.not_counted == "without a re-check of 3 presses, whose errors widen regions"
     assert rechecked.force_N.n == 9
     assert rechecked.force_N.not_counted.startswith("12 are kept, evenly over the session; without a re-check of 3")
+
+
+def test_few_places_state_no_coverage_of_forces_either():
+    issued = issued_from_presses()
+    few = HeldOut.from_calibration(replace(issued, covered_68=None, covered_95=None))
+    assert few.coverage == few.force_N.coverage == {"68": None, "95": None}
+    names = [name for name, _ in press_facts(replace(issued, covered_68=None, covered_95=None))]
+    assert "Error of force" in names
+    assert not any("hold the" in name for name in names)
 
 
 def test_the_page_draws_presses_that_were_left_out(folder):
@@ -434,9 +443,7 @@ def test_places_one_row_below_their_readings_are_suspected_and_shifted_back_only
     assert late.return_value == 1
     printed = json.loads(late.stdout)
     assert printed["place_learned"] is False
-    assert (
-        "places stand 1 row below their readings (--row-shift 1, to another file)" in printed["labels"]["suspected"]
-    )
+    assert "places stand 1 row below their readings (give --row-shift 1)" in printed["labels"]["suspected"]
     assert printed["labels"]["gain_mm"] > 10
     assert printed["labels"]["suspected"] == printed["warnings"][0]
     files = {"presses": tmp_path / "late.csv"}

@@ -62,12 +62,14 @@ def test_show_as_json_is_one_document(issued):
 
 
 def test_show_says_what_errors_of_force_include(issued, tmp_path):
-    assert "Standard errors of force: scatter only; load cell not stated." in _run("show", str(issued)).output
+    assert "Standard errors of force include scatter only; load cell not stated." in _run("show", str(issued)).output
     path = tmp_path / "traced.h5"
     write_calibration(path, replace(sample_calibration(), standards=(LOAD_CELL, INDENTER)))
     shown = " ".join(_run("show", str(path)).output.split())
-    assert "Standard errors of force: scatter and load cell (U = 0.5 % (k = 2), certificate K-2026-0711" in shown
-    assert "Area of the head, which counts for forces of other heads: U = 0.02 mm (k = 2)" in shown
+    assert (
+        "Standard errors of force include scatter and load cell (U = 0.5 % (k = 2), certificate K-2026-0711" in shown
+    )
+    assert "Head, whose diameter counts for forces of other heads: U = 0.02 mm (k = 2)" in shown
     document = json.loads(_run("show", str(path), "--json").stdout)
     assert document["standards"][0]["certificate"] == "K-2026-0711"
     assert document["force_error"].startswith("scatter and load cell (U = 0.5 % (k = 2)")

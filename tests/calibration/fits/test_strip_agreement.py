@@ -9,8 +9,8 @@ from strip_samples import Truth, readings, specimen
 
 from cbsr_qa.analysis.run.agreement import sheet_against_strip
 from cbsr_qa.calibration.fits.agreement import Agreement, compare_relaxations
+from cbsr_qa.calibration.fits.kernel_curve import KernelCurve
 from cbsr_qa.calibration.strip.characterisation import characterise
-from cbsr_qa.calibration.strip.relaxation import KernelCurve
 from cbsr_qa.config.loader import load_material
 from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
 from cbsr_qa.domain.results.report import Figure, Paragraph

@@ -31,7 +31,7 @@ def test_readings_that_say_nothing_are_not_put_in_another_order():
 def test_a_shift_is_named_with_the_option_that_undoes_it(shift):
     changes, places = press_sheet()
     found = find_row_order(changes, np.roll(places, shift, axis=0))
-    assert f"(--row-shift {shift}, to another file)" in found.words
+    assert f"(give --row-shift {shift})" in found.words
     assert found.gain_mm > 0.6 * guess_error(places)
 
 
@@ -65,3 +65,11 @@ def test_rows_without_a_press_keep_their_numbers():
     changes[4:10] = 0.0
     words = find_row_order(changes[:-1], np.delete(places, 50, axis=0)).words
     assert abs(int(words.split("about row ")[1].split()[0]) - 51) <= 2
+
+
+def test_advice_is_the_whole_shift_of_the_tables():
+    """Rows that were shifted too far: the remedy is the shift of the tables as they are, not one more."""
+    changes, places = press_sheet()
+    shifted = np.roll(places, -1, axis=0)
+    assert find_row_order(changes, shifted, row_shift=1).words.count("their readings (leave --row-shift out)") == 1
+    assert find_row_order(changes, shifted, row_shift=3).words.count("their readings (give --row-shift 2)") == 1

@@ -210,6 +210,7 @@ def test_one_golden_sensor_on_one_station_is_a_type_1_study(tmp_path, command, d
     assert study_1["cgk"]["value"] < study_1["cg"]["value"]
     assert study_1["capable"] is True
     said = " ".join(command(tmp_path / "runs.db", *asked)[1].split())
+    assert "Capable by the type 1 study" in said
     assert "Type 1 study: 20 % of the tolerance over six standard deviations (Cg), less the bias (Cgk)." in said
     (of_five_days,) = document(tmp_path / "runs.db", *asked, "--until", "2026-11-25")["metrics"]
     (too_few,) = of_five_days["references"]["type1"]

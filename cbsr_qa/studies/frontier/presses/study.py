@@ -97,7 +97,7 @@ def study_presses(
     at_random = [point for point in points if point.series == AT_RANDOM]
     recommendation = recommend_presses(at_random, curve, target_mm, guess_mm)
     if min(point.accuracy[PLACE].value for point in points) > DOUBTFUL_SHARE * guess_mm:
-        order = find_row_order(labelled.readings.changes, labelled.presses.place_mm)
+        order = find_row_order(labelled.readings.changes, labelled.presses.place_mm, row_shift=labelled.row_shift)
         why = [] if order is None else [order.words]
         recommendation = replace(recommendation, why="; ".join([*why, recommendation.why]))
     return Frontier(quick, tuple(points), recommendation, guess_mm)

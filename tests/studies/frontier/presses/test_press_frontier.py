@@ -257,7 +257,7 @@ def test_rows_out_of_step_are_named_and_shifted_back(labelled, trials, monkeypat
     monkeypatch.setattr(study, "DOUBTFUL_SHARE", 0.0)
     place_mm = np.roll(labelled.presses.place_mm, 1, axis=0)
     shifted = replace(labelled, presses=replace(labelled.presses, place_mm=place_mm))
-    assert "--row-shift 1, to another file" in study_presses(shifted, quick=True).recommended.why
+    assert "give --row-shift 1" in study_presses(shifted, quick=True).recommended.why
     assert "row" not in study_presses(shift_rows(shifted, 1), quick=True).recommended.why
 
 
