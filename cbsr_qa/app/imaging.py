@@ -91,7 +91,7 @@ def image_frames(
     _check_alike(blocks, sensor_type)
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, chosen, "reconstruction")
     flagged = ((np.concatenate([block.flags for block in blocks]) & UNUSABLE) != 0).any(axis=0)
-    used_mask = sensor_type.pattern.imaged(~flagged)
+    used_mask = sensor_type.pattern.select_imaged(~flagged)
     tell(f"preparing {chosen.name}")
     problem = imaging_problem(sensor_type, used=used_mask)
     if reference is None:

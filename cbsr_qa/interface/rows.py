@@ -43,7 +43,7 @@ class RowOptions:
 
     @property
     def part(self) -> ComplexPart | None:
-        """The part of complex readings. RefusedError if there is none of this name."""
+        """Return the part of complex readings that a name stands for. RefusedError for an unknown name."""
         if self.complex_part is None:
             return None
         if self.complex_part not in list(ComplexPart):

@@ -25,6 +25,7 @@ from cbsr_qa.stats.family_posterior import Posterior, find_posterior
 
 #: Names of families, as reports write them.
 NORMAL, LOG_NORMAL, WEIBULL, HEAVIEST = "normal", "log-normal", "Weibull", "Student 3"
+CONTAMINATED: Final = "one in ten scatters six times"
 _LIGHT: Final = (NORMAL, LOG_NORMAL, WEIBULL)  #: families without heavy tails on their scale
 #: Other families of x, whether of log x, and their prior weights in a lot of 300, relative to all variants of normal
 #: and log-normal together.
@@ -33,7 +34,7 @@ _OTHERS: Final[dict[str, tuple[Family, bool, float]]] = {
     HEAVIEST: (Student(3), False, 1.0),
     "Gumbel of largest": (Gumbel(+1), False, 0.2),
     "Gumbel of smallest": (Gumbel(-1), False, 0.2),
-    "one in ten scatters six times": (Contaminated(0.1, 6), False, 0.2),
+    CONTAMINATED: (Contaminated(0.1, 6), False, 0.2),
     WEIBULL: (Gumbel(-1), True, 0.3),
 }
 _FULL_WEIGHT_SENSORS: Final = 300
@@ -104,7 +105,7 @@ class Average:
         ]
         return max(variants)[1] if variants else 1
 
-    def bound(self, share: float, error: float) -> float:
+    def find_bound(self, share: float, error: float) -> float:
         """Return the bound of sign · x above which the quantile of a share lies with at most this probability."""
         odds = self.odds
         is_light = [member.name in _LIGHT or len(self.members) == 1 for member in self.members]
@@ -169,7 +170,7 @@ def average(values: Array, sign: int, largest_of: int = 1, *, positive: bool) ->
     for name, (family, logarithmic, weight) in _OTHERS.items():
         if logarithmic and not positive:
             continue
-        variants = [family if sign > 0 else family.mirrored()]
+        variants = [family if sign > 0 else family.mirror()]
         if isinstance(family, Student) and largest_of > 1:
             variants.append(replace(family, values=largest_of))
         share = others_weight * weight / len(variants)

@@ -36,7 +36,7 @@ class Family(ABC):
     def distribution_function(self, z: Array) -> Array:
         """Return the share below ``z``, any shape."""
 
-    def mirrored(self) -> "Family":
+    def mirror(self) -> "Family":
         """Return the family of −z; itself if symmetric."""
         return self
 
@@ -119,7 +119,7 @@ class Gumbel(Family):
 
     sign: int
 
-    def mirrored(self) -> "Gumbel":
+    def mirror(self) -> "Gumbel":
         return Gumbel(-self.sign)
 
     def log_density(self, z: Array) -> Array:

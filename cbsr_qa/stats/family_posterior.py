@@ -129,10 +129,10 @@ def _curvature(
     """Return the information on the location in scales, and how it moves with log σ, from differences at the peak."""
     unit = np.exp(log_scale)
 
-    def at(across: int, along: int) -> float:
+    def shifted(across: int, along: int) -> float:
         return log_likelihood(location + across * _STEP * unit, log_scale + along * _STEP)
 
-    second = (at(1, 0) + at(-1, 0) - 2 * at(0, 0)) / _STEP**2
-    mixed = (at(1, 1) - at(1, -1) - at(-1, 1) + at(-1, -1)) / (4 * _STEP**2)
+    second = (shifted(1, 0) + shifted(-1, 0) - 2 * shifted(0, 0)) / _STEP**2
+    mixed = (shifted(1, 1) - shifted(1, -1) - shifted(-1, 1) + shifted(-1, -1)) / (4 * _STEP**2)
     information = max(-second, _LEAST_CURVATURE * count)
     return information, float(np.clip(mixed / information, -1.0, 1.0))

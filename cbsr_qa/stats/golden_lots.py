@@ -233,7 +233,7 @@ def _average_bound(runs: Runs, lot: Average, values: int, ask: Ask) -> Bound:
     error = (1 - ask.confidence) / (1 if ask.sides == 1 or values == 1 else 2)
     normal_quantile = float(stats.norm.ppf(share))
     normal_factor = factor_of_quantile(normal_quantile, 1 - error, parts.sensors, parts.sensors - 1)
-    stretch = (lot.bound(share, error) - parts.mean) / (normal_factor * sqrt(parts.between))
+    stretch = (lot.find_bound(share, error) - parts.mean) / (normal_factor * sqrt(parts.between))
     factor = stretch * _factor(parts, 1, values, ask)
     is_heavy = ask.distribution is Distribution.HEAVY
     return Bound(

@@ -149,7 +149,7 @@ def _risks_of_family(bound: Bound, name: str, guard: float, uncertainty: Uncerta
     if name in (NORMAL, LOG_NORMAL):
         family = LargestNormal(bound.independent_values)
     elif sign < 0:
-        family = family.mirrored()
+        family = family.mirror()
     family_mean, family_deviation = family.moments()
     unit, limit = sqrt(true_variance) / family_deviation, scale.forward(bound.limit)
 

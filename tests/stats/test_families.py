@@ -34,7 +34,7 @@ def test_density_quantile_and_distribution_function_are_of_one_distribution(fami
         assert family.distribution_function(np.array([z]))[0] == pytest.approx(share, abs=1e-9)
         assert integral(lambda z: 1.0, -60, z) == pytest.approx(share, abs=2e-4)
         assert family.normal_scores(np.array([z]))[0] == pytest.approx(special.ndtri(share), abs=1e-6)
-        assert family.mirrored().quantile(1 - share) == pytest.approx(-z) or getattr(family, "values", 1) > 1
+        assert family.mirror().quantile(1 - share) == pytest.approx(-z) or getattr(family, "values", 1) > 1
     mean, deviation = family.moments()
     z = np.array([family.quantile((k + 0.5) / 4000) for k in range(4000)])
     # The middle of each slice is close enough, but for the tails of Student's t.
@@ -64,9 +64,11 @@ def test_two_values_say_the_same_of_every_symmetric_family():
 
 def test_bounds_follow_unit_and_sign():
     values = np.random.default_rng(1).standard_t(4, 25)
-    plain = average(values, 1, positive=False).bound(0.99, 0.05)
-    assert average(3 * values - 50, 1, positive=False).bound(0.99, 0.05) == pytest.approx(3 * plain - 50, rel=1e-4)
-    assert average(-values, -1, positive=False).bound(0.99, 0.05) == pytest.approx(plain, rel=1e-4)
+    plain = average(values, 1, positive=False).find_bound(0.99, 0.05)
+    assert average(3 * values - 50, 1, positive=False).find_bound(0.99, 0.05) == pytest.approx(
+        3 * plain - 50, rel=1e-4
+    )
+    assert average(-values, -1, positive=False).find_bound(0.99, 0.05) == pytest.approx(plain, rel=1e-4)
 
 
 def test_families_are_told_apart_where_a_lot_is_large_enough():
@@ -88,5 +90,5 @@ def test_the_heaviest_family_alone_has_exactly_the_stated_confidence():
     """Of 400 lots of Student's t with 3 degrees of freedom 95 % have a bound beyond the quantile."""
     random = np.random.default_rng(3)
     quantile = stats.t(3).ppf(0.99)
-    held = [average_heaviest(random.standard_t(3, 20), 1).bound(0.99, 0.05) >= quantile for _ in range(400)]
+    held = [average_heaviest(random.standard_t(3, 20), 1).find_bound(0.99, 0.05) >= quantile for _ in range(400)]
     assert np.mean(held) == pytest.approx(0.95, abs=3 * sqrt(0.05 * 0.95 / 400))

@@ -106,7 +106,7 @@ def _list_channels(channels: Mask) -> str:
 def _usable(recording: Recording, pattern: DrivePattern | None, missing: Mask) -> Mask:
     shape = recording.frames.voltages.shape[1:]
     if pattern is not None and recording.scan is ScanKind.FULL and pattern.shape == shape:
-        return pattern.imaged(~missing) if recording.rows else pattern.usable()
+        return pattern.select_imaged(~missing) if recording.rows else pattern.usable()
     if recording.scan is ScanKind.DRIVEN_PAIRS or shape[0] != shape[1]:
         return np.ones(shape, dtype=bool)
     return adjacent_pattern(shape[0]).usable()

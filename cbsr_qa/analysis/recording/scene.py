@@ -138,7 +138,7 @@ class RecordedScene:
         problem = self.sheet.problem
         sigma: float | Array = reciprocal_noise(changes, problem.used, problem.sensor_type.pattern)
         if not sigma or (self.recording.rows and len(changes) >= FEWEST_FRAMES):
-            sigma = self._unexplained_noise(changes)
+            sigma = self._estimate_noise(changes)
         if self.recording.rows and self.recording.still:
             objects, reason = find_in_rows(*self._match_changes(self.sheet, changes, sigma))
             remarks: tuple[str, ...] = ()
@@ -153,7 +153,7 @@ class RecordedScene:
         )
         return Searched(sightings, reason, (*self.remarks, *remarks), scene=self)
 
-    def _unexplained_noise(self, changes: Array) -> Array:
+    def _estimate_noise(self, changes: Array) -> Array:
         """Noise of each reading (m,): what the best loads leave of all frames; of few frames one noise for all."""
         white, match = self._match_changes(self.sheet, changes, 1.0)
         left = np.empty_like(white)

@@ -126,16 +126,16 @@ def end_of(along: Array, begin: int, limit: int) -> float:
             while onset > 0 and falls[onset - 1] >= _STEADY * falls[steepest]:
                 onset -= 1
             if steepest - onset > reach:  # a slow release, at last over what is left
-                return _crossing(span, top + onset, _declined(span[top + onset], last_level)) + begin
+                return _crossing(span, top + onset, _find_release_level(span[top + onset], last_level)) + begin
             return _crossing(span, top + steepest, float(span[top + steepest]) - falls[steepest] / 2) + begin
     reached = int(np.argmax(span >= _REACHED * span[top]))
     if limit == len(along) and last_level >= _STAYED * float(span[top]) and _fades(span[reached:], drop, noise):
         return float(limit - 1)
     held_until = top + _last_held(span[top:], drop, noise)
-    return _crossing(span, held_until, _declined(span[held_until], last_level), last=True) + begin
+    return _crossing(span, held_until, _find_release_level(span[held_until], last_level), last=True) + begin
 
 
-def _declined(level: float, last_level: float) -> float:
+def _find_release_level(level: float, last_level: float) -> float:
     return float(level - _DECLINED * (level - last_level))
 
 

@@ -63,7 +63,7 @@ def features_of(readings: Array, scaling: FeatureScaling) -> Array:
     return roots / np.where(size > 0, size, 1.0) ** scaling.damping
 
 
-def expected_features(expected: Array, readings: Array, scaling: FeatureScaling) -> Array:
+def predict_features(expected: Array, readings: Array, scaling: FeatureScaling) -> Array:
     """Turn changes (n, m) that are expected in any unit into features of presses with readings (n, m).
 
     Readings of zero do not count: they may be those that are not known.

@@ -11,10 +11,10 @@ from cbsr_qa.calibration.place.drift import Drift, Session, find_drift, session_
 from cbsr_qa.calibration.place.faulty import Modelled, noisy_readings
 from cbsr_qa.calibration.place.features import (
     ceilings_of,
-    expected_features,
     features_of,
     more_than_spikes,
     pattern_turns,
+    predict_features,
     size_factors,
     spikes_among,
     strengths,
@@ -241,7 +241,7 @@ def _find_noise(
     def expect(presses: Indices) -> Array:
         if modelled is None:
             return np.full((len(presses), len(pairs)), np.nan)
-        return expected_features(modelled(order[presses]), changes[presses], scaling)
+        return predict_features(modelled(order[presses]), changes[presses], scaling)
 
     errors = sheet.template_learning().leave_out_each()[0]
     return noisy_readings(pairs, sheet.features, errors, missing, expect)

@@ -83,17 +83,17 @@ class NumberTable:
             self.refuse(
                 [f"row {row + 1}, column {self.columns[chosen_columns[k]]}: {cell}, a complex number{others}"], _REAL
             )
-        return self._bounded(chosen_columns, self.values[:, chosen_columns])
+        return self._check_numbers(chosen_columns, self.values[:, chosen_columns])
 
     def complex_numbers(self, names: Sequence[str]) -> NDArray[np.complex128]:
         """Return some columns, (rows, columns), complex; RecordingError names cells that are not numbers."""
         chosen_columns = [self.columns.index(name) for name in names]
-        values = self._bounded(chosen_columns, self.values[:, chosen_columns])
+        values = self._check_numbers(chosen_columns, self.values[:, chosen_columns])
         if self.imaginary is None:
             return values.astype(np.complex128)
-        return values + 1j * self._bounded(chosen_columns, np.nan_to_num(self.imaginary[:, chosen_columns]))
+        return values + 1j * self._check_numbers(chosen_columns, np.nan_to_num(self.imaginary[:, chosen_columns]))
 
-    def _bounded(self, chosen_columns: Sequence[int], values: Array) -> Array:
+    def _check_numbers(self, chosen_columns: Sequence[int], values: Array) -> Array:
         unusable = np.argwhere(~(np.abs(values) <= _MAX_NUMBER))
         described = []
         for row, k in unusable[:_MAX_LISTED_CELLS].tolist():

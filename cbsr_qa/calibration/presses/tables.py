@@ -169,11 +169,11 @@ def pair_problems(values: Array, electrodes: int) -> Iterator[str]:
             yield f"row {row}, column sink: current from electrode {source:g} to itself"
         if plus == minus:
             yield f"row {row}, column minus: voltage between electrode {plus:g} and itself"
-    yield from _repeat_problems(values)
-    yield from _at_driven_problems(values)
+    yield from _list_repeat_problems(values)
+    yield from _list_driven_problems(values)
 
 
-def _repeat_problems(values: Array) -> Iterator[str]:
+def _list_repeat_problems(values: Array) -> Iterator[str]:
     first_rows: dict[tuple[float, ...], int] = {}
     repeated = [
         (row, first)
@@ -185,7 +185,7 @@ def _repeat_problems(values: Array) -> Iterator[str]:
             yield f"row {row} repeats row {first}: {','.join(f'{number:g}' for number in values[row - 1])}"
 
 
-def _at_driven_problems(values: Array) -> Iterator[str]:
+def _list_driven_problems(values: Array) -> Iterator[str]:
     at_driven = np.flatnonzero(measures_at_driven(values.astype(np.int64)))
     drives, odd_drives = (len(np.unique(rows[:, :2], axis=0)) for rows in (values, values[at_driven]))
     is_few = len(at_driven) <= _FEW_AT_DRIVEN * len(values)

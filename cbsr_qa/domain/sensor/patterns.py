@@ -135,7 +135,7 @@ class DrivePattern:
         usable: NDArray[np.bool_] = touched == 0
         return usable
 
-    def imaged(self, recorded: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    def select_imaged(self, recorded: NDArray[np.bool_]) -> NDArray[np.bool_]:
         """Readings to image from: of those recorded, the ones that touch no driven electrode.
 
         If these are less than a tenth, the instrument reads across the driven electrodes, as an ohmmeter does between

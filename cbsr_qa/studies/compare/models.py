@@ -26,7 +26,7 @@ _SESSIONS_NOTE: Final = (
     "groups differ from station to station by more than their sensors explain (lack of fit, p = {p:.1g}): intervals "
     "include a deviation of {deviation:.2g} between a group's sessions at stations"
 )
-#: Largest ratio of deviations that is stated: of values all alike it says nothing.
+#: Largest ratio of deviations that is stated: it would be infinite for a group whose values are all equal.
 _MOST_TIMES: Final = 100
 
 

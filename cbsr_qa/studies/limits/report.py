@@ -6,6 +6,7 @@ from typing import Final
 from cbsr_qa.domain.plan.limits import Limit
 from cbsr_qa.domain.results.report import Banner, Block, CommandOutcome, Page, Paragraph, Section, Table
 from cbsr_qa.report.tables import list_names, number, plural, text_table, unit_shown
+from cbsr_qa.stats.averaged_bound import CONTAMINATED, HEAVIEST
 from cbsr_qa.stats.golden_lots import Bound
 from cbsr_qa.stats.guard_bands import Risks
 from cbsr_qa.stats.lot_shapes import Distribution
@@ -15,6 +16,7 @@ from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_ot
 _NONE: Final = "–"
 _LEAST_SHARE: Final = 1e-6  #: smaller risks are meaningless: no distribution is known that far out
 _LEAST_NAMED: Final = 0.05  #: share of a family that is named
+_LIKELY: Final = 0.5  #: share from which the lot is said to be of some families
 
 # Sentences, in reading order.
 _EACH: Final = (
@@ -36,6 +38,10 @@ _GUARD: Final = (
     "marginal passes are accepted, and if they are refused."
 )
 _CONDITION: Final = "The promise of {labels} holds {condition}."
+_HEAVY_LOT: Final = (
+    "{label}: the lot itself looks heavier-tailed than its condition ({families}): the promise may not hold; find out"
+    " why some sensors are far from the others, or give --distribution heavy."
+)
 _NO_GUARD: Final = "{label}: no guard band: {why}."
 _NO_RISKS: Final = "{label}: no risks: {why}."
 _NEGATIVE: Final = "{label}: the lower limit is not above 0, although all values are: no value can fail it."
@@ -154,6 +160,18 @@ def _families(bound: Bound) -> str:
     return ", ".join(f"{family.family} {100 * family.share:.0f} %" for family in named)
 
 
+def _looks_heavy(bound: Bound) -> bool:
+    """Whether families with heavier tails than the condition explain the lot better than all others together."""
+    heavy_share = sum(family.share for family in bound.families if family.family in (HEAVIEST, CONTAMINATED))
+    return bound.distribution is Distribution.SEVERAL and heavy_share > _LIKELY
+
+
+def _warn_of_heavy_lots(limits: tuple[ProposedLimit, ...]) -> Iterator[Paragraph]:
+    for limit in limits:
+        for families in dict.fromkeys(_families(bound) for bound in limit.bounds.values() if _looks_heavy(bound)):
+            yield Paragraph(_HEAVY_LOT.format(label=limit.label, families=families), "warning")
+
+
 def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
     risks = ("C accepted", "P accepted", "C refused", "P refused")
     rows = []
@@ -182,6 +200,7 @@ def _notes(proposed: ProposedLimits) -> Iterator[Paragraph]:
         labels.setdefault(limit.condition, []).append(limit.label)
     for condition, members in labels.items():
         yield Paragraph(_CONDITION.format(labels=list_names(members), condition=condition), "note")
+    yield from _warn_of_heavy_lots(proposed.limits)
     for limit in proposed.limits:
         label = limit.label
         if limit.far_out:

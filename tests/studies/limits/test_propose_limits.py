@@ -3,8 +3,10 @@
 import tomllib
 from statistics import mean
 
+import numpy as np
 import pytest
 from proposed_lots import lot, replace_value, sensor
+from scipy import stats
 from stored_lots import LIMITS, PHASE, judged
 
 from cbsr_qa.config.documents import DocumentKind, open_document
@@ -12,6 +14,9 @@ from cbsr_qa.config.limits import limits_digest
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.plan.limits import Limit
 from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.stats.golden_lots import Ask, lot_limits
+from cbsr_qa.stats.lot_shapes import Distribution
+from cbsr_qa.studies.limits.report import _looks_heavy
 
 pytestmark = pytest.mark.rest
 
@@ -90,7 +95,7 @@ def test_the_table_says_what_every_number_rests_on(lot_database, propose):
         "12 sensors, 18 runs at bench-α (SIMULATED)",
         "99 % of good sensors, with 95 % confidence, if the condition in the notes holds",
         "holds for normal, log-normal, Weibull and gamma distributions of a run's worst value, and for tails up to",
-        "Student's t with 5 degrees of freedom (--distribution heavy: 3); 299 sensors for one bound, 473 for two",
+        "Student's t with 5 degrees of freedom (kept by 91 % of such lots of 30; --distribution heavy: 3)",
         "may fail up to 3 %",
         "JCGM 106",
         "upper largest of 9 log-normal",
@@ -124,6 +129,16 @@ def test_each_limit_has_the_condition_of_its_promise(lot_database, document):
     assert condition("--distribution", "normal") == "if sensors are normal, as stated"
     assert condition("--distribution", "heavy") == "for tails up to those of Student's t with 3 degrees of freedom"
     assert condition("--coverage", 60, "--confidence", 50) == "whatever the distribution of sensors is"
+
+
+def test_a_lot_that_looks_heavier_tailed_than_its_condition_is_called_so():
+    ask = Ask(0.99, 0.95, False, True, None)
+    normal = stats.norm.ppf((np.arange(30) + 0.5) / 30).tolist()
+    heavy = stats.t.ppf((np.arange(30) + 0.5) / 30, 1.5).tolist()
+    for values, looks_heavy in ((normal, False), (heavy, True)):
+        runs = [[10 + value] for value in values]
+        bound = lot_limits(runs, runs, 1, ask).upper
+        assert (bound.distribution, _looks_heavy(bound)) == (Distribution.SEVERAL, looks_heavy)
 
 
 def test_a_lot_is_chosen_by_name_day_recipe_or_file(lot_database, tmp_path, document):
