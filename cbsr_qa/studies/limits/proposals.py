@@ -310,9 +310,8 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     few_words = _NEVER_TWICE if not repeats else _NO_SPREAD
     if 0 < repeats < FEWEST_REPEATS:
         few_words = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
-    return None, _UNSTATED.format(
-        few=few_words, silent=len(stated_uncertainties) - len(known_uncertainties), values=len(stated_uncertainties)
-    )
+    stated = [bool(measurement.uncertainty) for run in runs for measurement in run]
+    return None, _UNSTATED.format(few=few_words, silent=stated.count(False), values=len(stated))
 
 
 def _risks(
