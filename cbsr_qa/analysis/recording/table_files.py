@@ -15,8 +15,9 @@ from cbsr_qa.calibration.presses.frame_tables import (
     read_frame_table,
 )
 from cbsr_qa.calibration.presses.odd_labels import list_unused_electrodes
+from cbsr_qa.calibration.presses.odd_units import OTHERS_LET_EXPECT, describe_other_unit, find_odd_readings
 from cbsr_qa.calibration.presses.tables import read_pairs
-from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.domain.errors import RecordingError, RefusedError, RowProblem
 from cbsr_qa.domain.numbers import Indices
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor.patterns import DrivePattern, Pairs
@@ -105,7 +106,8 @@ def record_pairs(
     """Return frames of pairs as a recording, and the sensor type with their pattern.
 
     A frame has a row for each drive and a column for each measure pair; what the table does not hold is missing.
-    Columns that repeat a pair are averaged.
+    Columns that repeat a pair are averaged. A row of changes with a single reading in another unit is taken out: it
+    becomes one without a load.
 
     Parameters
     ----------
@@ -128,6 +130,8 @@ def record_pairs(
         )
     cells = np.array([(drives.index((a, b)), measures.index((c, d))) for a, b, c, d in distinct.pairs.tolist()])
 
+    table, problems = _take_out_odd_rows(table, differences=differences)
+
     def block(rows: FrameTable) -> FrameBlock:
         voltages = np.zeros((len(rows.readings), len(drives), len(measures)))
         voltages[:, *cells.T] = rows.readings @ distinct.merging
@@ -146,12 +150,27 @@ def record_pairs(
         reference=None if table.rest is None else block(table.rest),
         still=not has_times and (differences or table.rest is not None),
         magnitudes_only=part is ComplexPart.MAGNITUDE,
+        problems=problems,
         clock="given" if has_times else "none",
         notes=tuple(_notes(table, distinct, sensor_type, part, differences=differences)),
         rows=True,
         differences=differences,
     )
     return recording, replace(sensor_type, pattern=DrivePattern(sensor_type.electrodes.count, drives, measures))
+
+
+def _take_out_odd_rows(table: PairFrames, *, differences: bool) -> tuple[PairFrames, tuple[RowProblem, ...]]:
+    """Replace rows of changes with a single reading in another unit by that of the unloaded sheet, and name them."""
+    if not differences and table.rest is None:
+        return table, ()  # readings that jump for a frame are found in time
+    unloaded = np.zeros(len(table.pairs)) if table.rest is None else table.rest.readings.mean(axis=0)
+    readings, problems = table.frames.readings.copy(), []
+    for row, column, ratio in find_odd_readings(readings - unloaded):
+        place = f"row {row + 1}, column {table.frames.columns[column]}"
+        words = f"{place}: {describe_other_unit(ratio, OTHERS_LET_EXPECT)}; the row is left out"
+        problems.append(RowProblem(row + 2, words, rejected=True))
+        readings[row] = unloaded
+    return replace(table, frames=replace(table.frames, readings=readings)), tuple(problems)
 
 
 def _name_pairs(pairs: Indices) -> tuple[Pairs, Pairs]:

@@ -13,6 +13,8 @@ from cbsr_qa.store.repository import Repository
 _CLOCKS: Final = timedelta(minutes=1)
 #: Beginning of the subject of a check's lines about the golden sensor.
 _SUBJECT: Final = "golden sensor"
+#: What to do about a certificate of the future.
+CORRECT_DATE: Final = "correct its date in the station file, or set the computer's clock"
 
 
 def golden_measured(asked: Asked) -> Finding:
@@ -68,7 +70,7 @@ def charts_in_control(asked: Asked) -> Finding:
 
 
 def instruments_in_date(asked: Asked) -> Finding:
-    """Look for instruments and reference standards whose date in the station file has passed."""
+    """Look for instruments and standards whose date in the station file has passed, and for certificates of later."""
     station, today = asked.configuration.station, asked.now.date()
     due_by_name = {
         f"{instrument.role} ({instrument.driver})": instrument.calibration_due
@@ -80,6 +82,13 @@ def instruments_in_date(asked: Asked) -> Finding:
     if past_due_words:
         remedy = "have it calibrated and give the new dates in the station file"
         return Finding(False, f"the calibration of {', '.join(past_due_words)}", remedy)
+    later_words = [
+        f"the certificate {s.certificate} of the {s.role_words} is dated {s.date}"
+        for s in station.standards
+        if dated_later(s.date, today)
+    ]
+    if later_words:
+        return Finding(False, f"{', '.join(later_words)}, later than today, {today}", CORRECT_DATE)
     if not due_by_name:
         return Finding(True, "no instrument states a calibration_due")
     return Finding(True, f"no instrument is due before {min(due_by_name.values())}")
@@ -88,6 +97,11 @@ def instruments_in_date(asked: Asked) -> Finding:
 def past_due(calibration_due: str | None, today: date) -> bool:
     """Whether an instrument is past its calibration date; the day itself is not."""
     return calibration_due is not None and date.fromisoformat(calibration_due) < today
+
+
+def dated_later(certificate_date: str, today: date) -> bool:
+    """Whether a certificate is dated after today, so that it cannot exist yet."""
+    return date.fromisoformat(certificate_date) > today
 
 
 def files_released(asked: Asked) -> Finding:

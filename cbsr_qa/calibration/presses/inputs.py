@@ -42,6 +42,7 @@ class PressReadings:
     rest : (m,) reference of frames; None if the table has changes.
     noise : (m,) standard deviation of one frame; None with fewer than two frames at rest.
     time_s : (n,) times of the presses [s]; None if the table has none.
+    columns : (m,) names of the readings' first columns; empty if they are of a recording.
     """
 
     path: Path
@@ -50,6 +51,7 @@ class PressReadings:
     rest: Array | None = None
     noise: Array | None = None
     time_s: Array | None = None
+    columns: tuple[str, ...] = ()
 
     def some(self, rows: Indices) -> "PressReadings":
         """Select presses, in the order of ``rows``."""
@@ -116,14 +118,15 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
     distinct = DistinctPairs.from_pairs(pairs)
     table = read_frame_table(path, len(pairs))
     readings = table.readings @ distinct.merging
+    columns = distinct.name_readings(table.columns)
     if rest is None:
-        return PressReadings(path, distinct, readings, time_s=table.time_s)
+        return PressReadings(path, distinct, readings, time_s=table.time_s, columns=columns)
     rest_table = read_frame_table(rest, len(pairs))
     check_same_unit(table, rest_table)
     frames = rest_table.readings @ distinct.merging
     mean = frames.mean(axis=0)
     noise = frames.std(axis=0, ddof=1) if len(frames) > 1 else None
-    return PressReadings(path, distinct, readings - mean, mean, noise, table.time_s)
+    return PressReadings(path, distinct, readings - mean, mean, noise, table.time_s, columns)
 
 
 def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:

@@ -108,7 +108,12 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     labelled.check()
     tell("finding how the sheet lies")
     dead_readings = find_dead_readings(
-        readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
+        readings.distinct.pairs,
+        readings.changes,
+        presses.place_mm,
+        readings.rest,
+        readings.noise,
+        readings.columns,
     )
     clipped_share = estimate_clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead_readings.dead, 0.0, readings.changes))
