@@ -9,7 +9,7 @@ import os
 import signal
 import sqlite3
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import command
@@ -70,6 +70,34 @@ locations_mm = [[0.0, 0.0], [20.0, 0.0]]
 hold_s = 10.0
 rest_s = 12.0
 initial_rest_s = 10.0
+"""
+#: A run that decides after each of its presses which one is next: six to seven, of nine places.
+ADAPTIVE = """
+[recipe]
+name = "deciding"
+calibrate_phases = ["long hold", "chosen places"]
+
+[[phases]]
+name = "long hold"
+sequence = "location-grid"
+strains_percent = [20.0]
+locations_mm = [[0.0, 0.0]]
+hold_s = 20.0
+rest_s = 12.0
+initial_rest_s = 10.0
+
+[[phases]]
+name = "chosen places"
+sequence = "adaptive-grid"
+target_N = 0.17
+at_least = 4
+at_most = 7
+count = 9
+radius_mm = 35.0
+strain_percent = 20.0
+hold_s = 12.0
+rest_s = 11.0
+initial_rest_s = 0.0
 """
 METRICS = ("centre-of-mass-error", "area-overlap", "noise-figure", "channel-noise", "applied-force", "zero-return",
            "repeatability", "load-assignment", "contact-resistance", "creep")  # fmt: skip
@@ -255,6 +283,9 @@ def assert_same(one, other):
             np.testing.assert_array_equal(array, again, err_msg=str(place))
     assert one.measurements == other.measurements
     assert one.verdict == other.verdict
+    assert [replace(made, time_s=0.0) for made in one.record.decisions] == [
+        replace(made, time_s=0.0) for made in other.record.decisions
+    ]
 
 
 def assert_nothing_lost(folder, run):

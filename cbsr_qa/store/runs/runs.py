@@ -35,7 +35,7 @@ from cbsr_qa.store.runs.codec import (
 )
 from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
-from cbsr_qa.store.runs.rows import current_state, identity_of, load_record, phases_of, run_row
+from cbsr_qa.store.runs.rows import current_state, decisions_of, identity_of, load_record, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, sessions_of, spans_that_count, within
 from cbsr_qa.store.runs.standing import standing_of
 from cbsr_qa.store.runs.verdicts import read_verdicts
@@ -119,6 +119,7 @@ class Runs:
                     prompts=prompts_of(attended),
                     chain=chain,
                     chain_head=head,
+                    decisions=decisions_of(connection, run),
                     gate=answers_of(connection, run),
                 )
             except StoreError:
