@@ -1,7 +1,7 @@
 """Dry run: duration, travel, strain and force of a plan, and violations of the station's limits."""
 
 import copy
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 
@@ -118,7 +118,7 @@ def dry_run(
     plan: Plan,
     frame_period_s: float,
     *,
-    done: frozenset[LoadKey] = frozenset(),
+    done: Collection[LoadKey] = (),
     ended: frozenset[int] = frozenset(),
     answered: bool = True,
 ) -> DryRun:

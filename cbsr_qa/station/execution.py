@@ -1,7 +1,7 @@
 """Execution of a plan: steps, events, and the end of a run."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
 from typing import Any, Final, Protocol
@@ -119,7 +119,7 @@ def execute(
     clock: Clock,
     subscribers: Sequence[Subscriber],
     *,
-    done: frozenset[LoadKey] = frozenset(),
+    done: Collection[LoadKey] = (),
     ended: frozenset[int] = frozenset(),
     ask: Ask | None = None,
     desk: ControlDesk | None = None,
@@ -139,7 +139,8 @@ def execute(
     ----------
     subscribers : functions called with every document in order. The first is the journal, which stores a document
         before the others see it; a document it cannot store breaks the run. The others cannot stop the run.
-    done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
+    done : loads (phase, index) finished in an earlier session of the same run, in the order of pressing; they are
+        not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
     ask : function that shows a prompt and returns when it is answered; an ``OperatorPrompt`` if instruments
         ask through it as well, so that one that waits for the operator does not count as hanging.

@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator, Sequence as AnySequence
+from collections.abc import Collection, Iterator, Sequence as AnySequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -219,7 +219,7 @@ class ScheduledPhase:
 
 
 def schedule(
-    plan: Plan, done: frozenset[LoadKey] = frozenset(), ended: frozenset[int] = frozenset()
+    plan: Plan, done: Collection[LoadKey] = (), ended: frozenset[int] = frozenset()
 ) -> tuple[ScheduledPhase, ...]:
     """Collect the steps of every sequence.
 
@@ -231,7 +231,7 @@ def schedule(
 
     Parameters
     ----------
-    done : loads finished in an earlier session of the same run.
+    done : loads finished in an earlier session of the same run, in the order of pressing.
     ended : phases whose last step was carried out in an earlier session.
     """
     if not plan.phases:
@@ -240,7 +240,7 @@ def schedule(
 
 
 def _schedule_phase(
-    plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool
+    plan: Plan, index: int, phase: PlannedPhase, done: Collection[LoadKey], ended: bool
 ) -> ScheduledPhase:
     steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
@@ -250,7 +250,7 @@ def _schedule_phase(
         steps = tuple(chain([Home()], steps))
     numbered_steps = tuple(_number_steps(index, steps))
     loads = sum(isinstance(step, Press) for step in steps)
-    pressed = frozenset(load for load in range(loads) if (index, load) in done)
+    pressed = [load for of_phase, load in done if of_phase == index]
     first_open = next((load for load in range(loads) if load not in pressed), loads)
     goal = phase.sequence.goal if isinstance(phase.sequence, AdaptiveSequence) else None
     if ended:
@@ -310,7 +310,7 @@ def _skip_finished(numbered: tuple[ScheduledStep, ...], first_open: int, loads: 
         released = released or isinstance(step, Release)
 
 
-def _skip_pressed(numbered: tuple[ScheduledStep, ...], pressed: frozenset[int]) -> Iterator[ScheduledStep]:
+def _skip_pressed(numbered: tuple[ScheduledStep, ...], pressed: AnySequence[int]) -> Iterator[ScheduledStep]:
     """Yield the remaining steps of a phase that decides: set-up, a rest as before any press, presses still to choose.
 
     The unloaded frames of finished presses are already stored.
@@ -318,7 +318,7 @@ def _skip_pressed(numbered: tuple[ScheduledStep, ...], pressed: frozenset[int]) 
     before, presses = split_presses(numbered)
     yield from (scheduled for scheduled in before if not isinstance(scheduled.step, MarkUnloaded | AcquireFrames))
     released = False
-    for scheduled in presses[max(pressed)]:
+    for scheduled in presses[pressed[-1]]:
         if released:
             yield scheduled
         released = released or isinstance(scheduled.step, Release)

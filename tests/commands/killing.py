@@ -71,7 +71,7 @@ hold_s = 10.0
 rest_s = 12.0
 initial_rest_s = 10.0
 """
-#: A run that decides after each of its presses which one is next: six to seven, of nine places.
+#: A run that decides after each of its presses which one is next: seven, of nine places.
 ADAPTIVE = """
 [recipe]
 name = "deciding"
@@ -89,7 +89,7 @@ initial_rest_s = 10.0
 [[phases]]
 name = "chosen places"
 sequence = "adaptive-grid"
-target_N = 0.17
+target_N = 0.1
 at_least = 4
 at_most = 7
 count = 9
@@ -105,14 +105,18 @@ METRICS = ("centre-of-mass-error", "area-overlap", "noise-figure", "channel-nois
 STILL = ("sheet-seat", "piezoresistivity", "elastic-stress", "measurement-noise", "load-cell-noise")
 
 
-def write_files(folder, *, memory=False, recipe=RECIPE):
+#: An effect without memory: a sheet whose response varies by 20 % over 20 mm.
+UNEVEN = '[[effects]]\nname = "uneven-response"\ndeviation = 0.2\ncorrelation_mm = 20.0\n'
+
+
+def write_files(folder, *, memory=False, recipe=RECIPE, more_effects=""):
     """Write station, scene and recipe of a quick run; with memory the scene relaxes as the shipped one."""
     from cbsr_qa.config.documents import DocumentKind, open_document
 
     scene, *effects = open_document(DocumentKind.SCENE, "base").text.split("[[effects]]")
     kept = [one for one in effects if memory or any(f'"{name}"' in one for name in STILL)]
     scene = scene.replace("sheet_mesh_size_mm = 6.0", "sheet_mesh_size_mm = 9.0").replace('"base"', '"quick"')
-    (folder / "quick.toml").write_text("[[effects]]".join([scene, *kept]))
+    (folder / "quick.toml").write_text("[[effects]]".join([scene, *kept]) + more_effects)
     station = open_document(DocumentKind.STATION, "simulated").text
     (folder / "station.toml").write_text(station.replace('scene = "base"', 'scene = "quick.toml"'))
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text

@@ -52,14 +52,14 @@ class Done:
 
     Parameters
     ----------
-    loads : phase and index of each finished press.
+    loads : phase and index of each finished press, in the order of pressing.
     phases : indices of finished phases.
     until_s : start of this session on the run's time line [s].
     prompts : number of prompts that were shown.
     record : what is stored of the run; None for a new one.
     """
 
-    loads: frozenset[LoadKey] = frozenset()
+    loads: tuple[LoadKey, ...] = ()
     phases: frozenset[int] = frozenset()
     until_s: float = 0.0
     prompts: int = 0
