@@ -1,6 +1,6 @@
 """A run as others see it: it holds its station, reports its state, and takes requests."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Collection, Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Self
@@ -66,7 +66,7 @@ class Control:
         self._notify()
         self.console.begin(run)
 
-    def set_plan(self, plan: Plan, done: frozenset[LoadKey]) -> None:
+    def set_plan(self, plan: Plan, done: Collection[LoadKey]) -> None:
         """State what will be pressed, including what an earlier session has pressed."""
         phases = schedule(plan)
         presses = [

@@ -24,6 +24,7 @@ from cbsr_qa.domain.run.run import (
     RunEnded,
     RunEvent,
     RunIdentity,
+    RunRecord,
     RunStarted,
 )
 from cbsr_qa.domain.run.states import EndReason
@@ -32,7 +33,7 @@ from cbsr_qa.report.tables import duration
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.dry_runs import DryRun, dry_run
 from cbsr_qa.station.event_sinks import EventSinks
-from cbsr_qa.station.execution import execute
+from cbsr_qa.station.execution import Decider, execute
 from cbsr_qa.station.interrupts import on_stderr
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.plan import LoadKey
@@ -51,16 +52,18 @@ class Done:
 
     Parameters
     ----------
-    loads : phase and index of each finished press.
+    loads : phase and index of each finished press, in the order of pressing.
     phases : indices of finished phases.
     until_s : start of this session on the run's time line [s].
     prompts : number of prompts that were shown.
+    record : what is stored of the run; None for a new one.
     """
 
-    loads: frozenset[LoadKey] = frozenset()
+    loads: tuple[LoadKey, ...] = ()
     phases: frozenset[int] = frozenset()
     until_s: float = 0.0
     prompts: int = 0
+    record: RunRecord | None = None
 
 
 #: Of a new run.
@@ -108,6 +111,7 @@ class Session:
         self._events = 0
         self._stages = Stages(control.tell)
         self._plan = plan_of(configuration, plugins)
+        self._decider = self._make_decider()
         self._clock = station_clock(configuration)
         self._progress = control.console.show_steps(len(self._plan.phases), self._clock, control.status)
         self._ask = (
@@ -115,6 +119,17 @@ class Session:
             if control.console.attended
             else None
         )
+
+    def _make_decider(self) -> Decider | None:
+        """What decides between presses, if a sequence of the recipe asks for it."""
+        if not self._plan.decides:
+            return None
+        from cbsr_qa.station.decider import RunDecider  # loads what no other run needs
+        from cbsr_qa.station.decisions import PressDecisions
+
+        decisions = PressDecisions.from_configuration(self.configuration, self._plan, self.plugins)
+        done = self._done
+        return RunDecider(decisions, self._plan, earlier=done.record, ended=done.phases, offset_s=done.until_s)
 
     def _ask_operator(self, text: str) -> str:
         with self._progress.pause():
@@ -203,6 +218,7 @@ class Session:
                     ended=self._done.phases,
                     ask=self._ask,
                     desk=control.desk,
+                    decider=self._decider,
                     warn=self.warnings.append,
                 )
         finally:

@@ -186,6 +186,33 @@ class RunSession:
 
 
 @dataclass(frozen=True, slots=True)
+class PressDecided:
+    """What was decided after some presses of a phase: which one is next, or that the phase ends.
+
+    ``pressed`` counts the phase's presses so far. ``load``, ``label``, ``x_mm`` and ``y_mm`` are the next press; None
+    and empty at the end. ``expected_N`` is the expected force error of what was learned so far, ``upper_N`` its upper
+    bound, over the loads that matter; None if nothing could be learned yet. ``why`` is ``start``, ``error``,
+    ``target`` (it ends: the bound is at or below the target) or ``most presses`` (it ends).
+    """
+
+    type: Literal["press_decided"] = field(default="press_decided", kw_only=True, repr=False)
+    phase: int
+    pressed: int
+    load: int | None
+    label: str
+    x_mm: float | None
+    y_mm: float | None
+    expected_N: float | None
+    upper_N: float | None
+    why: str
+    time_s: float
+
+    @property
+    def ends(self) -> bool:
+        return self.load is None
+
+
+@dataclass(frozen=True, slots=True)
 class RunRecord:
     """A whole run, the only input of its analysis.
 
@@ -202,6 +229,7 @@ class RunRecord:
     chain : state of the digests it is under, checked when it was loaded.
     gate : answers of the checks before the run, and of those asked again when it was resumed.
     chain_head : digest of the last link that was checked then; empty where the run has no chain.
+    decisions : what was decided between presses of a sequence that decides, in order.
     """
 
     identity: RunIdentity
@@ -220,6 +248,7 @@ class RunRecord:
     chain: ChainState = field(default_factory=ChainState)
     gate: tuple[GateAnswer, ...] = ()
     chain_head: str = field(default="", compare=False)
+    decisions: tuple[PressDecided, ...] = ()
 
     def phase(self, name: str) -> PhaseRecord:
         """Return a phase by its name in the recipe.
@@ -350,6 +379,7 @@ RunEvent = (
     | SamplesTaken
     | Unloaded
     | LoadFinished
+    | PressDecided
     | StepRetried
     | PhaseFinished
     | AttendanceEvent

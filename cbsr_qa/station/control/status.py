@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -46,7 +46,7 @@ class RunStatus:
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def plan(
-        self, phases: Mapping[int, str], presses: Iterable[tuple[LoadKey, Press]], done: frozenset[LoadKey]
+        self, phases: Mapping[int, str], presses: Iterable[tuple[LoadKey, Press]], done: Collection[LoadKey]
     ) -> None:
         """State what will be pressed, and what an earlier session has done."""
         with self._lock:
