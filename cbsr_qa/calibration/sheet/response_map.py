@@ -166,7 +166,7 @@ def learn_response(
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     prior_precision = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
-    places, which = _find_places(places_mm)
+    places, which = find_places(places_mm)
     columns_and_values = np.column_stack([columns, log_response])
     data = {
         float(scatter): combine_loads(
@@ -204,7 +204,7 @@ def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tup
     return 1 / predicted - 1 / middle, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
 
 
-def _find_places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
+def find_places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     """Places (p, 2), each once in the order of the loads, and the index of each load's place (n,)."""
     _, first_loads, place_index = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first_loads)

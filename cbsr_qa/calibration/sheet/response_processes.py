@@ -18,8 +18,8 @@ from cbsr_qa.domain.numbers import Array
 _DEVIATIONS: Final = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
 #: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): typical repeatability of
 #: presses, and typical variation of moulded sheets. Chosen by us.
-_USUAL_SCATTER: Final = 0.02
-_USUAL_DEVIATION: Final = 0.2
+USUAL_SCATTER: Final = 0.02
+USUAL_DEVIATION: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -181,8 +181,8 @@ def condition_family(data: dict[float, CombinedLoads], alike: Array, smooth: boo
         np.array([group.log_variance for group in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
     )
     # The grid is even in the logarithm of the deviation, so its density includes the deviation as a factor.
-    prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / _USUAL_DEVIATION) ** 2)
-    score = -misfit / 2 - determinants + prior[:, None] - scatter / _USUAL_SCATTER
+    prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / USUAL_DEVIATION) ** 2)
+    score = -misfit / 2 - determinants + prior[:, None] - scatter / USUAL_SCATTER
     return ProcessFamily(smooth, length_mm, scatter, root_weight, root, solved, mean, mean_root, score)
 
 

@@ -1,0 +1,292 @@
+"""The batch as prior of one more sensor: what its map is before a press, and after some."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import groupby
+from typing import Final
+
+import numpy as np
+from scipy.special import logsumexp
+from scipy.stats import chi2
+
+from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
+from cbsr_qa.calibration.batch.loads import ROUNDING, SensorLoads
+from cbsr_qa.calibration.sheet.response_processes import compute_covariance
+from cbsr_qa.domain.numbers import Array, Mask
+
+#: Least weight of members that are kept for a sensor.
+_NEGLIGIBLE: Final = 1e-5
+#: Deviation of the level of a sensor that is not of the batch. Chosen by us.
+_STRANGE_LEVEL: Final = 0.5
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Family:
+    """Members of one kind and length of correlation.
+
+    Parameters
+    ----------
+    weights : (m,) of all members, with sum one over all families.
+    own, common, level, scatter : (m,) variances ϖ², ω², τ² and that of single loads.
+    precision, pull : G (m, p, p), and q − G 1 μ (m, p).
+    mean, mean_variance : (m,) of the level μ.
+    """
+
+    smooth: bool
+    length_mm: float
+    weights: Array
+    own: Array
+    common: Array
+    level: Array
+    scatter: Array
+    precision: Array
+    pull: Array
+    mean: Array
+    mean_variance: Array
+
+    def correlate(self, one_mm: Array, other_mm: Array) -> Array:
+        return compute_covariance(one_mm, other_mm, self.length_mm, self.smooth)
+
+    def expect(self, kernel: Array) -> Array:
+        """Mean (m, n) of μ + c at places whose correlations with those of the batch are ``kernel`` (p, n)."""
+        mean: Array = self.mean[:, None] + self.common[:, None] * (self.pull @ kernel)
+        return mean
+
+    def covary(self, one: Array, other: Array, mutual: Array) -> Array:
+        """Prior covariance (m, n, k) of the sensor's map at places of kernels (p, n) and (p, k)."""
+        common = self.common[:, None, None]
+        by_level, other_by_level = self._left_to_level(one), self._left_to_level(other)
+        known = common**2 * (one.T @ self.precision @ other)
+        level = self.mean_variance[:, None, None] * by_level[:, :, None] * other_by_level[:, None, :]
+        covariance: Array = (common + self.own[:, None, None]) * mutual - known + level + self.level[:, None, None]
+        return covariance
+
+    def vary(self, kernel: Array, mutual: Array) -> Array:
+        """Prior variance (m, n), the diagonal of ``covary``."""
+        common = self.common[:, None]
+        known = common**2 * ((self.precision @ kernel) * kernel).sum(axis=1)
+        level = self.mean_variance[:, None] * self._left_to_level(kernel) ** 2
+        variance: Array = (common + self.own[:, None]) * mutual - known + level + self.level[:, None]
+        return variance
+
+    def _left_to_level(self, kernel: Array) -> Array:
+        left: Array = 1 - self.common[:, None] * (self.precision.sum(axis=2) @ kernel)
+        return left
+
+    def select(self, which: Mask) -> "_Family":
+        names = ("own", "common", "level", "scatter", "precision", "pull", "mean", "mean_variance")
+        return replace(self, weights=self.weights[which], **{name: getattr(self, name)[which] for name in names})
+
+    def with_known_map(self) -> "_Family":
+        """The family if the common level and map were exactly known; only its covariances are meaningful."""
+        return replace(self, common=0 * self.common, mean_variance=0 * self.mean_variance)
+
+    def of_stranger(self) -> "_Family":
+        """The family of a sensor that has nothing in common with the batch but how its map varies."""
+        return replace(
+            self, own=self.own + self.common, common=0 * self.common, level=0 * self.level + _STRANGE_LEVEL**2
+        )
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class _Conditioned:
+    """A family after a sensor's loads: Cholesky factors (m, n, n) of their covariance, and their surprise (m, n)."""
+
+    family: _Family
+    root: Array
+    surprise: Array
+
+    @property
+    def log_likelihood(self) -> Array:
+        squared: Array = (self.surprise**2).sum(axis=1)
+        log_determinant = 2 * np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum(axis=1)
+        likelihood: Array = -(squared + log_determinant + self.surprise.shape[1] * np.log(2 * np.pi)) / 2
+        return likelihood
+
+
+@dataclass(frozen=True, slots=True)
+class Likeness:
+    """Whether a sensor's loads are those of a sensor of the batch.
+
+    Parameters
+    ----------
+    p_value : predictive probability of loads at least as far from what the batch predicts.
+    log_evidence : logarithm of the Bayes factor of the batch over a sensor that shares only how its map varies.
+    """
+
+    p_value: float
+    log_evidence: float
+
+
+class BatchPrior:
+    """Distribution of the map of a sensor of the batch that was not yet pressed.
+
+    Parameters
+    ----------
+    likelihood : loads of the batch.
+    choices, weights : (m,) hyperparameters and their weights, with sum one.
+    """
+
+    def __init__(
+        self, likelihood: BatchLikelihood, choices: Sequence[Hyperparameters], weights: Sequence[float]
+    ) -> None:
+        self.places_mm = likelihood.loads.places_mm
+        self._families = []
+        members = sorted(zip(choices, weights, strict=True))
+        for (smooth, length_mm), group in groupby(members, key=lambda member: member[0].kind[:2]):
+            parts = []
+            of_family = list(group)
+            for _, same in groupby(of_family, key=lambda member: member[0].kind):
+                parts.append(likelihood.compute_precision([choice for choice, _ in same]))
+            precision, pull = (np.concatenate(columns) for columns in zip(*parts, strict=True))
+            by_level = precision.sum(axis=2)
+            total = by_level.sum(axis=1)
+            mean = pull.sum(axis=1) / total
+            own, common, level, scatter = (
+                np.array([getattr(choice, name) ** 2 for choice, _ in of_family])
+                for name in ("own", "common", "level", "scatter")
+            )
+            self._families.append(
+                _Family(
+                    smooth,
+                    length_mm,
+                    np.array([weight for _, weight in of_family]),
+                    own,
+                    common,
+                    level,
+                    scatter,
+                    precision,
+                    pull - by_level * mean[:, None],
+                    mean,
+                    1 / total,
+                )
+            )
+
+    def predict(self, places_mm: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the common map, level included, at places (n, 2)."""
+        means, variances = [], []
+        for family in self._families:
+            kernel = family.correlate(self.places_mm, places_mm)
+            means.append(family.expect(kernel))
+            variances.append(family.vary(kernel, np.ones(len(places_mm))) - (family.own + family.level)[:, None])
+        return _mix(np.concatenate([family.weights for family in self._families]), means, variances)
+
+    def learn_response(self, loads: SensorLoads) -> "BatchMap":
+        """Return the map of a sensor of the batch by its loads: exact for each member; the members weighted anew."""
+        conditioned = [_condition(family, self.places_mm, loads) for family in self._families]
+        log_weights = [np.log(part.family.weights) + part.log_likelihood for part in conditioned]
+        total = logsumexp(np.concatenate(log_weights))
+        weights = [np.exp(logs - total) for logs in log_weights]
+        kept = []
+        for part, weight in zip(conditioned, weights, strict=True):
+            which = weight > _NEGLIGIBLE
+            if which.any():
+                family = replace(part.family, weights=weight).select(which)
+                kept.append(_Conditioned(family, part.root[which], part.surprise[which]))
+        return BatchMap(self.places_mm, loads, tuple(kept))
+
+    def test_likeness(self, loads: SensorLoads) -> Likeness:
+        """Test whether loads of a sensor are as the batch predicts them."""
+        conditioned = [_condition(family, self.places_mm, loads) for family in self._families]
+        strange = [_condition(family.of_stranger(), self.places_mm, loads) for family in self._families]
+        p_values = [
+            part.family.weights @ chi2.sf((part.surprise**2).sum(axis=1), len(loads.log_response))
+            for part in conditioned
+        ]
+        evidence, strange_evidence = (
+            logsumexp(np.concatenate([np.log(part.family.weights) + part.log_likelihood for part in parts]))
+            for parts in (conditioned, strange)
+        )
+        return Likeness(float(sum(p_values)), float(evidence - strange_evidence))
+
+
+class BatchMap:
+    """A sensor's map by the batch and its own loads.
+
+    It answers what a :class:`~cbsr_qa.calibration.sheet.response_map.ResponseMap` answers.
+    """
+
+    def __init__(self, batch_places_mm: Array, loads: SensorLoads, parts: tuple[_Conditioned, ...]) -> None:
+        self._batch_places_mm, self._loads, self._parts = batch_places_mm, loads, parts
+        self._weights = np.concatenate([part.family.weights for part in parts])
+        self._weights /= self._weights.sum()
+
+    def predict(self, places_mm: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""
+        return self._predict(self._parts, places_mm, average=False)
+
+    def average(self, places_mm: Array) -> tuple[float, float]:
+        """Mean over places (n, 2) of the logarithm of the response, and its variance."""
+        mean, variance = self._predict(self._parts, places_mm, average=True)
+        return float(mean[0]), float(variance[0])
+
+    def batch_share(self, places_mm: Array) -> Array:
+        """Share (n,) of the variance at places (n, 2) that would be gone if the common map were exactly known."""
+        known = []
+        for part in self._parts:
+            family = part.family.with_known_map()
+            known.append(_condition(family, self._batch_places_mm, self._loads))
+        variances = [self._describe(part, places_mm, average=False)[1] for part in (*self._parts, *known)]
+        full, left = (
+            self._weights @ np.concatenate(part)
+            for part in (variances[: len(self._parts)], variances[len(self._parts) :])
+        )
+        share: Array = np.clip(1 - left / full, 0.0, 1.0)
+        return share
+
+    @cached_property
+    def scatter(self) -> float:
+        """Relative scatter of single loads, root mean square over the members."""
+        return float(np.sqrt(self._weights @ np.concatenate([part.family.scatter for part in self._parts])))
+
+    @cached_property
+    def bend(self) -> tuple[float, float]:
+        """Multiple of the effect of a wrong intercept, and its variance; zeros without one."""
+        if self._loads.bend is None:
+            return 0.0, 0.0
+        prior = self._loads.bend_stderr**2
+        means, variances = [], []
+        for part in self._parts:
+            whitened = np.linalg.solve(part.root, self._loads.bend)
+            means.append(prior * (whitened * part.surprise).sum(axis=1, keepdims=True))
+            variances.append(prior - prior**2 * (whitened**2).sum(axis=1, keepdims=True))
+        mean, variance = _mix(self._weights, means, variances)
+        return float(mean[0]), float(variance[0])
+
+    def _predict(self, parts: Sequence[_Conditioned], places_mm: Array, *, average: bool) -> tuple[Array, Array]:
+        described = [self._describe(part, places_mm, average=average) for part in parts]
+        return _mix(self._weights, [mean for mean, _ in described], [variance for _, variance in described])
+
+    def _describe(self, part: _Conditioned, places_mm: Array, *, average: bool) -> tuple[Array, Array]:
+        """Means and variances (m, n) of the members; of the mean over the places if ``average``."""
+        family, own_mm = part.family, self._loads.places_mm
+        kernel, cross = family.correlate(self._batch_places_mm, places_mm), family.correlate(own_mm, places_mm)
+        mutual = np.ones(len(places_mm))
+        if average:
+            kernel, cross = kernel.mean(axis=1, keepdims=True), cross.mean(axis=1, keepdims=True)
+            mutual = np.array([family.correlate(places_mm, places_mm).mean()])
+        covariance = family.covary(family.correlate(self._batch_places_mm, own_mm), kernel, cross)
+        whitened = np.linalg.solve(part.root, covariance)
+        means = family.expect(kernel) + (part.surprise[:, None] @ whitened)[:, 0]
+        return means, family.vary(kernel, mutual) - (whitened**2).sum(axis=1)
+
+
+def _condition(family: _Family, batch_places_mm: Array, loads: SensorLoads) -> _Conditioned:
+    kernel = family.correlate(batch_places_mm, loads.places_mm)
+    covariance = family.covary(kernel, kernel, family.correlate(loads.places_mm, loads.places_mm))
+    noise = loads.variance + family.scatter[:, None] + ROUNDING
+    covariance += noise[:, :, None] * np.eye(len(loads.variance))
+    if loads.bend is not None:
+        covariance += loads.bend_stderr**2 * np.outer(loads.bend, loads.bend)
+    root: Array = np.linalg.cholesky(covariance)
+    surprise: Array = np.linalg.solve(root, (loads.log_response - family.expect(kernel))[:, :, None])[:, :, 0]
+    return _Conditioned(family, root, surprise)
+
+
+def _mix(weights: Array, means: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Array]:
+    """Mean and variance (n,) of a mixture of members (m, n)."""
+    all_means = np.concatenate(means)
+    mean: Array = weights @ all_means
+    variance: Array = weights @ (np.concatenate(variances) + (all_means - mean) ** 2)
+    return mean, np.maximum(variance, 0.0)
