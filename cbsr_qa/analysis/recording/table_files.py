@@ -98,7 +98,7 @@ def check_form(part: ComplexPart | None, *, differences: bool, rest: bool) -> No
         )
     if differences and part not in (None, ComplexPart.REAL):
         raise RefusedError(
-            f"differences have no {part}: the readings of the unloaded sheet are not in them",
+            f"differences have no {_MISSING_PART[part]}: the readings of the unloaded sheet are not in them",
             remedy="give whole frames, or take the real part",
         )
 
@@ -215,6 +215,8 @@ def _notes(
     return [*notes, *list_unused_electrodes(distinct.pairs, sensor_type.electrodes.count)]
 
 
+#: Parts that differences do not have, in words.
+_MISSING_PART: Final = {ComplexPart.MAGNITUDE: "magnitude", ComplexPart.IN_PHASE: "in-phase part"}
 _PART_WORDS: Final = {
     ComplexPart.REAL: "their real parts",
     ComplexPart.MAGNITUDE: "their magnitudes",

@@ -86,7 +86,7 @@ def test_complex_readings_keep_the_place(tmp_path):
     rest = rest + 1e-6 * np.random.default_rng(4).standard_normal((4, len(rest)))
     result = analysed(pairs, table(tmp_path, rows), sensor, table(tmp_path, rest), part=ComplexPart.MAGNITUDE)
     assert max(errors_mm(result, PLACES)) < 4
-    with pytest.raises(RefusedError, match="differences have no in-phase"):
+    with pytest.raises(RefusedError, match="differences have no in-phase part: the readings"):
         check_form(ComplexPart.IN_PHASE, differences=True, rest=False)
 
 
