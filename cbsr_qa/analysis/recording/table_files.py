@@ -23,10 +23,13 @@ from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, S
 from cbsr_qa.domain.sensor.patterns import DrivePattern, Pairs
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Most readings of a frame with every drive against every measure pair: those of 90 electrodes, adjacent.
-_MOST_READINGS: Final = 2**13
-#: Most readings of all frames: a gigabyte.
-_MOST_NUMBERS: Final = 2**27
+#: Most pairs of drive and measure pairs in a frame, whose sensitivities are held: those of 90 electrodes, adjacent.
+_MOST_CELLS: Final = 2**13
+#: The same where all measure across what they drive, and only those of the table are held: 32 electrodes of an
+#: ohmmeter.
+_MOST_DIAGONAL: Final = 2**18
+#: The same of all frames: half a gigabyte.
+_MOST_NUMBERS: Final = 2**26
 
 
 @dataclass(frozen=True, slots=True)
@@ -95,7 +98,7 @@ def check_form(part: ComplexPart | None, *, differences: bool, rest: bool) -> No
         )
     if differences and part not in (None, ComplexPart.REAL):
         raise RefusedError(
-            f"differences have no {part}: the readings of the unloaded sheet are not in them",
+            f"differences have no {_MISSING_PART[part]}: the readings of the unloaded sheet are not in them",
             remedy="give whole frames, or take the real part",
         )
 
@@ -122,11 +125,18 @@ def record_pairs(
     drives, measures = _name_pairs(distinct.pairs)
     path, count = table.frames.path, len(table.frames.readings)
     cells_per_frame = len(drives) * len(measures)
-    if cells_per_frame > _MOST_READINGS or count * cells_per_frame > _MOST_NUMBERS:
+    most_cells = _MOST_DIAGONAL if measures_at_driven(distinct.pairs).all() else _MOST_CELLS
+    if cells_per_frame > most_cells:
         raise RecordingError(
-            f"{path}: {count} frames of {len(drives)} drive and {len(measures)} measure pairs are too many readings;"
-            f" a frame has at most {_MOST_READINGS}, all frames {_MOST_NUMBERS}",
-            remedy="give fewer rows at a time, or a pattern of fewer pairs",
+            f"{path}: {len(drives)} drive pairs × {len(measures)} measure pairs are {cells_per_frame} combinations;"
+            f" at most {most_cells} are imaged, however many of them are in the table",
+            remedy="leave out the columns of some drive or measure pairs",
+        )
+    if count * cells_per_frame > _MOST_NUMBERS:
+        raise RecordingError(
+            f"{path}: {count} rows of {len(drives)} drive pairs × {len(measures)} measure pairs; at most"
+            f" {_MOST_NUMBERS // cells_per_frame} rows are imaged at a time",
+            remedy="give fewer rows at a time",
         )
     cells = np.array([(drives.index((a, b)), measures.index((c, d))) for a, b, c, d in distinct.pairs.tolist()])
 
@@ -205,6 +215,8 @@ def _notes(
     return [*notes, *list_unused_electrodes(distinct.pairs, sensor_type.electrodes.count)]
 
 
+#: Parts that differences do not have, in words.
+_MISSING_PART: Final = {ComplexPart.MAGNITUDE: "magnitude", ComplexPart.IN_PHASE: "in-phase part"}
 _PART_WORDS: Final = {
     ComplexPart.REAL: "their real parts",
     ComplexPart.MAGNITUDE: "their magnitudes",

@@ -11,7 +11,7 @@ import numpy as np
 from cbsr_qa.analysis.recording.press_files import PressFiles, read_labelled_presses
 from cbsr_qa.app.calibration.file import check_free
 from cbsr_qa.calibration.file.hdf5 import write_calibration
-from cbsr_qa.calibration.presses.inputs import LabelledPresses
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, find_outline
 from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses
 from cbsr_qa.calibration.presses.learning import PressesLearned, learn_presses
 from cbsr_qa.domain.numbers import Array
@@ -31,6 +31,10 @@ from cbsr_qa.store.types import IdSource
 
 #: Rows left out that a terminal shows.
 _MOST_ROWS: Final = 10
+#: Points of a drawn edge.
+_EDGE_POINTS: Final = 401
+#: Distance of electrode numbers from the electrodes, of the sheet's radius.
+_NUMBERS_BEYOND: Final = 0.13
 
 
 @dataclass(frozen=True, slots=True)
@@ -281,8 +285,8 @@ def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Secti
 
 
 def _sheet_mm(sensor_type: SensorType, pose: SheetRegistration) -> dict[str, Array]:
-    angle = np.linspace(0, 2 * np.pi, 181)
-    edge = pose.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    curve = find_outline(sensor_type, pose).curve
+    edge = curve.points_at(np.linspace(0, curve.perimeter, _EDGE_POINTS))
     electrodes = sensor_type.electrodes.positions_mm()
-    beyond = 1.09 * pose.radius_mm * electrodes / np.linalg.norm(electrodes, axis=1, keepdims=True)
+    beyond = electrodes * (1 + _NUMBERS_BEYOND * pose.radius_mm / np.linalg.norm(electrodes, axis=1, keepdims=True))
     return {"edge_mm": pose.to_press_frame_mm(edge), "numbers_mm": pose.to_press_frame_mm(beyond)}

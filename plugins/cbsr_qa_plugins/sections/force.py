@@ -177,11 +177,11 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
 
 def _map_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
     quality = map_quality(learned, calibration_radius_mm(force))
-    low, high = float(quality.response.min()), float(quality.response.max())
+    low, high = (number(float(end), 2) for end in (quality.response.min(), quality.response.max()))
     x_mm, y_mm = quality.least_sure_mm
     where = f"({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
     return (
-        f"In the calibrated area the response is {number(low, 2)} to {number(high, 2)} times the material's"
+        f"In the calibrated area the response is {low if low == high else f'{low} to {high}'} times the material's"
         f" and varies by {number(100 * quality.spread, 2)} %. Its standard error is"
         f" {number(100 * quality.rms_error, 2)} % (root mean square; largest at {where}:"
         f" {number(100 * float(quality.stderr.max()), 2)} %). Single loads scatter about the map by"
@@ -243,7 +243,7 @@ def _results(result: RunResult) -> list[Block]:
             rows.append([f"one response for the whole sheet{after}", value_cell(flat), "–", "–", "–"])
     if not rows:
         return []
-    columns = ("Loads not used", "σ_F [N]", "Bias [N]", "Within 68 % [%]", "Within 95 % [%]")
+    columns = ("Loads not used", "Standard deviation σ_F [N]", "Bias [N]", "Within 68 % [%]", "Within 95 % [%]")
     caption = (
         "Errors of force. ± of a coverage: the scatter of correct intervals over this number of loads. A dash: too"
         " few loads."
