@@ -172,6 +172,22 @@ class BatchPrior:
             variances.append(family.vary(kernel, np.ones(len(places_mm))) - (family.own + family.level)[:, None])
         return _mix(np.concatenate([family.weights for family in self._families]), means, variances)
 
+    def expect_variance(self, pressed_mm: Array, places_mm: Array) -> Array:
+        """Variance (n,) at places of a sensor's map after presses (m, 2) that only scatter, before they are made."""
+        variances = []
+        for family in self._families:
+            kernel = family.correlate(self.places_mm, places_mm)
+            variance = family.vary(kernel, np.ones(len(places_mm)))
+            if len(pressed_mm):
+                loads = SensorLoads(pressed_mm, np.zeros(len(pressed_mm)), np.zeros(len(pressed_mm)))
+                part, between = _condition(family, self.places_mm, loads), family.correlate(pressed_mm, places_mm)
+                cross = family.covary(family.correlate(self.places_mm, pressed_mm), kernel, between)
+                variance = variance - (np.linalg.solve(part.root, cross) ** 2).sum(axis=1)
+            variances.append(variance)
+        weights = np.concatenate([family.weights for family in self._families])
+        expected: Array = weights @ np.concatenate(variances)
+        return np.maximum(expected, 0.0)
+
     def learn_response(self, loads: SensorLoads) -> "BatchMap":
         """Return the map of a sensor of the batch by its loads: exact for each member; the members weighted anew."""
         conditioned = [_condition(family, self.places_mm, loads) for family in self._families]
@@ -279,9 +295,9 @@ def _condition(family: _Family, batch_places_mm: Array, loads: SensorLoads) -> _
     covariance += noise[:, :, None] * np.eye(len(loads.variance))
     if loads.bend is not None:
         covariance += loads.bend_stderr**2 * np.outer(loads.bend, loads.bend)
-    root: Array = np.linalg.cholesky(covariance)
-    surprise: Array = np.linalg.solve(root, (loads.log_response - family.expect(kernel))[:, :, None])[:, :, 0]
-    return _Conditioned(family, root, surprise)
+    root = np.linalg.cholesky(covariance)
+    surprise = np.linalg.solve(root, (loads.log_response - family.expect(kernel))[:, :, None])[:, :, 0]
+    return _Conditioned(family, np.asarray(root, dtype=np.float64), np.asarray(surprise, dtype=np.float64))
 
 
 def _mix(weights: Array, means: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Array]:
