@@ -76,44 +76,12 @@ def keep_model(study: BatchStudy) -> KeptBatch:
 
 
 def read_model(path: Path) -> KeptBatch:
-    """Read a model's file.
-
-    RefusedError if it cannot be read, is of another layout, or was changed.
-    """
+    """Read a model's file. ConfigError if it cannot be read, is of another layout, or was changed."""
     try:
         content = json.loads(read_foreign(path, _MOST_BYTES).decode())
-        kept = fill_from_mapping(KeptBatch, content)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
+    except (OSError, ValueError, UnfitFileError) as error:
         why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
-        raise RefusedError(
+        raise ConfigError(
             f"{path} cannot be read: {why}", remedy="cbsr-qa batch model --to FILE writes one"
         ) from error
-    if kept.layout != _LAYOUT:
-        raise RefusedError(f"{path} is of layout {kept.layout}; this version reads {_LAYOUT}")
-    if _digest_content(content) != kept.content_sha256:
-        raise RefusedError(f"{path} was changed: its content is not that of its SHA-256", remedy="write it again")
-    return kept
-
-
-def make_prior(kept: KeptBatch) -> BatchPrior:
-    """Return the prior of a further sensor by a kept model."""
-    sensors = [
-        SensorLoads(
-            np.array(sensor.places_mm, dtype=np.float64).reshape(-1, 2),
-            np.array(sensor.log_response),
-            np.array(sensor.variance),
-            None if sensor.bend is None else np.array(sensor.bend),
-            sensor.bend_stderr,
-        )
-        for sensor in kept.sensors
-    ]
-    choices = [
-        Hyperparameters(one.smooth, one.length_mm, one.scatter, one.own, one.common, one.level)
-        for one in kept.members
-    ]
-    return BatchPrior(BatchLikelihood(BatchLoads(sensors)), choices, [member.weight for member in kept.members])
-
-
-def _digest_content(content: dict[str, Any]) -> str:
-    rest = {key: value for key, value in content.items() if key not in ("content_sha256",)}
-    return hashlib.sha256(canonical_json(json.loads(json.dumps(rest))).encode()).hexdigest()
+    return read_batch_model(content if isinstance(content, dict) else {}, str(path))
