@@ -8,7 +8,6 @@ from typing import Final
 
 import numpy as np
 from scipy.special import logsumexp
-from scipy.stats import chi2
 
 from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
 from cbsr_qa.calibration.batch.loads import ROUNDING, SensorLoads
@@ -20,6 +19,9 @@ from cbsr_qa.domain.results.calibration import BatchUse
 _NEGLIGIBLE: Final = 1e-5
 #: Deviation of the level of a sensor that is not of the batch. Chosen by us.
 _STRANGE_LEVEL: Final = 0.5
+#: Number of draws of a test, and what they are seeded with.
+_DRAWS: Final = 1999
+_SEED: Final = 52
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -92,17 +94,26 @@ class _Family:
 
 @dataclass(frozen=True, slots=True, eq=False)
 class _Conditioned:
-    """A family after a sensor's loads: Cholesky factors (m, n, n) of their covariance, and their surprise (m, n)."""
+    """A family after a sensor's loads.
+
+    Parameters
+    ----------
+    root : (m, n, n) Cholesky factors of the loads' covariance.
+    expected : (m, n) means of the loads.
+    surprise : (m, n) what they differ by from those means, whitened.
+    """
 
     family: _Family
     root: Array
+    expected: Array
     surprise: Array
 
-    @property
-    def log_likelihood(self) -> Array:
-        squared: Array = (self.surprise**2).sum(axis=1)
+    def log_likelihood(self, surprise: Array) -> Array:
+        """Logarithm of the likelihood (m, …) of whitened values (m, n, …)."""
+        squared: Array = (surprise**2).sum(axis=1)
         log_determinant = 2 * np.log(np.diagonal(self.root, axis1=1, axis2=2)).sum(axis=1)
-        likelihood: Array = -(squared + log_determinant + self.surprise.shape[1] * np.log(2 * np.pi)) / 2
+        constant = log_determinant + surprise.shape[1] * np.log(2 * np.pi)
+        likelihood: Array = -(squared + constant.reshape(-1, *[1] * (squared.ndim - 1))) / 2
         return likelihood
 
 
@@ -112,7 +123,7 @@ class Likeness:
 
     Parameters
     ----------
-    p_value : predictive probability of loads at least as far from what the batch predicts.
+    p_value : probability that a sensor of the batch has an evidence as low.
     log_evidence : logarithm of the Bayes factor of the batch over a sensor that shares only how its map varies.
     """
 
@@ -192,7 +203,7 @@ class BatchPrior:
     def learn_response(self, loads: SensorLoads) -> "BatchMap":
         """Return the map of a sensor of the batch by its loads: exact for each member; the members weighted anew."""
         conditioned = [_condition(family, self.places_mm, loads) for family in self._families]
-        log_weights = [np.log(part.family.weights) + part.log_likelihood for part in conditioned]
+        log_weights = [np.log(part.family.weights) + part.log_likelihood(part.surprise) for part in conditioned]
         total = logsumexp(np.concatenate(log_weights))
         weights = [np.exp(logs - total) for logs in log_weights]
         kept = []
@@ -200,22 +211,32 @@ class BatchPrior:
             which = weight > _NEGLIGIBLE
             if which.any():
                 family = replace(part.family, weights=weight).select(which)
-                kept.append(_Conditioned(family, part.root[which], part.surprise[which]))
+                kept.append(_Conditioned(family, part.root[which], part.expected[which], part.surprise[which]))
         return BatchMap(self.places_mm, loads, tuple(kept))
 
     def test_likeness(self, loads: SensorLoads) -> Likeness:
-        """Test whether loads of a sensor are as the batch predicts them."""
-        conditioned = [_condition(family, self.places_mm, loads) for family in self._families]
+        """Test whether a sensor is of the batch, against one that shares only how its map varies.
+
+        By Neyman and Pearson's lemma no test of this size finds more of those; its distribution is drawn.
+        """
+        like = [_condition(family, self.places_mm, loads) for family in self._families]
         strange = [_condition(family.of_stranger(), self.places_mm, loads) for family in self._families]
-        p_values = [
-            part.family.weights @ chi2.sf((part.surprise**2).sum(axis=1), len(loads.log_response))
-            for part in conditioned
+        values = np.column_stack([loads.log_response, self._draw_loads(like)])
+        evidence = _weigh_evidence(like, values) - _weigh_evidence(strange, values)
+        further = np.count_nonzero(evidence[1:] <= evidence[0])
+        return Likeness((further + 1) / len(evidence), float(evidence[0]))
+
+    def _draw_loads(self, parts: Sequence["_Conditioned"]) -> Array:
+        """Draw values of loads (n, draws) of further sensors of the batch."""
+        random = np.random.default_rng([_SEED, len(self.places_mm), parts[0].root.shape[1]])
+        weights = np.concatenate([part.family.weights for part in parts])
+        counts = np.split(random.multinomial(_DRAWS, weights), np.cumsum([len(part.root) for part in parts])[:-1])
+        drawn = [
+            mean[:, None] + root @ random.standard_normal((len(root), count))
+            for part, of_part in zip(parts, counts, strict=True)
+            for root, mean, count in zip(part.root, part.expected, of_part, strict=True)
         ]
-        evidence, strange_evidence = (
-            logsumexp(np.concatenate([np.log(part.family.weights) + part.log_likelihood for part in parts]))
-            for parts in (conditioned, strange)
-        )
-        return Likeness(float(sum(p_values)), float(evidence - strange_evidence))
+        return np.concatenate(drawn, axis=1)
 
 
 class BatchMap:
@@ -338,9 +359,21 @@ def _condition(family: _Family, batch_places_mm: Array, loads: SensorLoads) -> _
     covariance += noise[:, :, None] * np.eye(len(loads.variance))
     if loads.bend is not None:
         covariance += loads.bend_stderr**2 * np.outer(loads.bend, loads.bend)
-    root = np.linalg.cholesky(covariance)
-    surprise = np.linalg.solve(root, (loads.log_response - family.expect(kernel))[:, :, None])[:, :, 0]
-    return _Conditioned(family, np.asarray(root, dtype=np.float64), np.asarray(surprise, dtype=np.float64))
+    root = np.asarray(np.linalg.cholesky(covariance), dtype=np.float64)
+    expected = family.expect(kernel)
+    surprise = np.linalg.solve(root, (loads.log_response - expected)[:, :, None])[:, :, 0]
+    return _Conditioned(family, root, expected, np.asarray(surprise, dtype=np.float64))
+
+
+def _weigh_evidence(parts: Sequence[_Conditioned], values: Array) -> Array:
+    """Logarithm of the likelihood (k,) of values (n, k) of loads, the members weighted."""
+    logs = [
+        np.log(part.family.weights)[:, None]
+        + part.log_likelihood(np.asarray(np.linalg.solve(part.root, values - part.expected[:, :, None])))
+        for part in parts
+    ]
+    evidence: Array = logsumexp(np.concatenate(logs), axis=0)
+    return evidence
 
 
 def _mix(weights: Array, means: Sequence[Array], variances: Sequence[Array]) -> tuple[Array, Array]:

@@ -53,11 +53,11 @@ def maps_figure(
         _draw_values(axes, places_mm, value, norm)
         axes.plot(*pressed_mm.T, ".", color=INK, markersize=1.2, zorder=4)
         fit_sheet(axes, sensor.outline)
-        axes.set_title(name, fontsize=6.5, fontweight="bold" if stands_out or not number else "normal")
-        axes.title.set_color(VERMILION if stands_out else INK)
+        weight = "bold" if stands_out or not number else "normal"
+        axes.set_title(name, fontsize=6.5, fontweight=weight, color=VERMILION if stands_out else INK)
     add_scale(
         figure,
-        figure.axes[0],
+        figure.axes[min(2, len(maps) - 1)],
         norm,
         CHANGE_MAP,
         label="response against the batch's mean [%]",

@@ -26,8 +26,9 @@ _READING: Final = (
     "The response of each sensor is a common map, an own map and a level. ρ is the share of the maps' variance that"
     " two sensors have in common: 0 if the batch says nothing about its next sensor, 1 if all sensors are alike. Its"
     " interval has a confidence of 95 %.",
-    "p is the probability that a sensor of the batch differs at least so much from what the others predict, where the"
-    " others alone decide. A sensor stands out if p, adjusted for all sensors (Holm), is below 0.05.",
+    'The odds weigh "like the others" against "of another batch"; p is the probability that a sensor like the'
+    " others has odds as low, where the others alone decide. A sensor stands out if p, adjusted for all sensors"
+    " (Holm), is below 0.05.",
 )
 _MAPS: Final = (
     "The common map, then each sensor's by its own presses and the others; dots are presses, names in red stand out."

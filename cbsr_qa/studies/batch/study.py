@@ -42,7 +42,7 @@ class SensorOfBatch:
     loads : number of loads.
     level, level_stderr : mean response of its map over the pressed area, relative to the mean of all sensors.
     deviation : root mean square of its map about the others' common one, its level included.
-    p_value : predictive probability of loads at least as far from what the others predict.
+    p_value : probability that a sensor like the others has an evidence as low.
     log_evidence : logarithm of the Bayes factor of "like the others" over "of another batch".
     stands_out : whether p, adjusted for all sensors (Holm), is below 0.05.
     """
