@@ -22,6 +22,8 @@ _OF_A_RUN = (DocumentKind.STATION, DocumentKind.RECIPE, DocumentKind.SENSOR_TYPE
 LAYOUT = 1
 BATCH_LAYOUT = 1
 _BATCH = "batch_model"
+#: Parts of the document that determine how a run is analysed.
+RECIPE_KEYS = ("recipe", _BATCH)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -125,13 +127,18 @@ def restore(canonical: str) -> Configuration:
     world = load_scene(content["emulated_scene"]) if "emulated_scene" in content else None
     return Configuration(
         _with_scenes(station.value, scenes, world),
-        _with_batch(load_recipe(content["recipe"]).value, content.get(_BATCH)),
+        restore_recipe(content),
         load_sensor_type(content["sensor_type"]).value,
         load_material(content["material"]).value,
         int(content["seed"]),
         canonical,
         _serial_pattern(content["sensor_type"]),
     )
+
+
+def restore_recipe(content: Mapping[str, Any]) -> Recipe:
+    """Return the recipe of a stored configuration, with the batch's model if it has one. ConfigError if it is wrong."""
+    return _with_batch(load_recipe(content["recipe"]).value, content.get(_BATCH))
 
 
 def add_batch_model(configuration: Configuration, kept: KeptBatch) -> Configuration:

@@ -8,7 +8,6 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run.compensation import (
     LONG,
     BorrowedKernels,
@@ -17,6 +16,7 @@ from cbsr_qa.analysis.run.compensation import (
     force_trace,
     steady_s,
 )
+from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
 from cbsr_qa.analysis.run.force_kernels import StrengthTraces, Transients, force_kernels, key_of
 from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits.common_relaxation import TimedValues

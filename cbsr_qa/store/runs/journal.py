@@ -36,11 +36,11 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.engine import writing
+from cbsr_qa.store.mapping import row_of
 from cbsr_qa.store.runs.attendance import attendance_values
 from cbsr_qa.store.runs.codec import encode_setting, frame_values, sample_block, sample_values
 from cbsr_qa.store.runs.configuration_changes import note_changes
 from cbsr_qa.store.runs.gate_answers import add_answers
-from cbsr_qa.store.mapping import row_of
 from cbsr_qa.store.runs.rows import begin_run, current_state, phases_of, run_row
 from cbsr_qa.store.tables.runs import (
     AttendanceRow,

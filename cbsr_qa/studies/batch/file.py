@@ -1,27 +1,14 @@
-"""The file of a batch's model: JSON that holds all a run needs to use it."""
+"""The model of a batch as it is kept: in a database, and as a JSON file that holds all a run needs to use it."""
 
-import hashlib
 import json
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Final
 
-import numpy as np
-
-from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
-from cbsr_qa.calibration.batch.loads import BatchLoads, SensorLoads
-from cbsr_qa.calibration.batch.prior import BatchPrior
-from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.config.merging import BATCH_LAYOUT, digest_batch_model
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.filling import fill_from_mapping
-from cbsr_qa.domain.results.batch import KeptBatch, KeptMember, KeptSensor
-from cbsr_qa.studies.batch.study import BatchStudy
+from cbsr_qa.domain.plan.batch_model import KeptBatch, KeptMember, KeptSensor
+from cbsr_qa.studies.batch.study import LEVEL, BatchStudy
 from cbsr_qa.system.files import write_atomically, writing
-from cbsr_qa.system.foreign import read_foreign
-
-_LAYOUT: Final = 1
-#: Size above that of any model's file [bytes].
-_MOST_BYTES: Final = 2**26
 
 
 def write_model(study: BatchStudy, path: Path) -> None:
@@ -61,7 +48,7 @@ def keep_model(study: BatchStudy) -> KeptBatch:
         for choice, weight in zip(study.model.choices, study.model.weights, strict=True)
     )
     kept = KeptBatch(
-        layout=_LAYOUT,
+        layout=BATCH_LAYOUT,
         digest=study.digest,
         content_sha256="",
         batch=study.batch,
@@ -71,17 +58,9 @@ def keep_model(study: BatchStudy) -> KeptBatch:
         radius_mm=study.model.radius_mm,
         sensors=sensors,
         members=members,
+        level_drift=next(
+            (quantity.drift for quantity in study.quantities if quantity.name == LEVEL and quantity.drifts), 0.0
+        ),
+        relaxation=study.relaxation,
     )
-    return replace(kept, content_sha256=_digest_content(asdict(kept)))
-
-
-def read_model(path: Path) -> KeptBatch:
-    """Read a model's file. ConfigError if it cannot be read, is of another layout, or was changed."""
-    try:
-        content = json.loads(read_foreign(path, _MOST_BYTES).decode())
-    except (OSError, ValueError, UnfitFileError) as error:
-        why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
-        raise ConfigError(
-            f"{path} cannot be read: {why}", remedy="cbsr-qa batch model --to FILE writes one"
-        ) from error
-    return read_batch_model(content if isinstance(content, dict) else {}, str(path))
+    return replace(kept, content_sha256=digest_batch_model(asdict(kept)))
