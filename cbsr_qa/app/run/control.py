@@ -1,6 +1,6 @@
 """A run as others see it: it holds its station, reports its state, and takes requests."""
 
-from collections.abc import Collection, Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Self
