@@ -1,4 +1,4 @@
-"""Decisions while a run is under way: its record so far, a thread that computes, and decisions of earlier sessions."""
+"""Decisions while a run is under way: its record so far, a thread that computes, decisions of earlier sessions."""
 
 import math
 import threading

@@ -135,6 +135,7 @@ class PressDecisions:
             y_mm=None if load is None else load.y_mm,
             expected_N=None if error is None else error.expected_N,
             upper_N=None if error is None else error.upper_N,
+            floor_N=None if error is None else error.floor_N,
             why=why,
             time_s=time_s,
         )

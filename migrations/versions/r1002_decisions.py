@@ -17,8 +17,8 @@ _WORDS: Final = {
 _DECISIONS: Final = """
     CREATE TABLE decisions (
         run VARCHAR(36) NOT NULL, phase INTEGER NOT NULL, pressed INTEGER NOT NULL, load_index INTEGER,
-        label TEXT NOT NULL, x_mm {real}, y_mm {real}, expected_n {real}, upper_n {real}, why VARCHAR(16) NOT NULL,
-        time_s {real} NOT NULL,
+        label TEXT NOT NULL, x_mm {real}, y_mm {real}, expected_n {real}, upper_n {real}, floor_n {real},
+        why VARCHAR(16) NOT NULL, time_s {real} NOT NULL,
         CONSTRAINT pk_decisions PRIMARY KEY (run, phase, pressed),
         CONSTRAINT fk_decisions_run_phase_phases FOREIGN KEY(run, phase) REFERENCES phases (run, phase)){without_rowid}
     """

@@ -1,8 +1,8 @@
-"""The error that forces of a calibration are expected to have, over the loads that matter, and which press reduces it.
+"""The error that forces of a calibration are expected to have over the loads that matter, and what reduces it.
 
-An error δ of the logarithm of the response is one of the force by δ (F + β A/α), from κ = exp(response) (α σ + β). The
-loads that matter have every radius, angle and strain within bounds alike; their places are known. Beside the map's
-own error each has the scatter of single loads and the noise of its readings, and all may share one factor.
+An error δ of the logarithm of the response is one of the force by δ (F + β A/α), from κ = exp(response) (α σ + β).
+The loads that matter have every radius, angle and strain within bounds alike; their places are known. Beside the
+map's own error each has the scatter of single loads and the noise of its readings, and all may share one factor.
 
 The mean square of a map's error over the area is a random number: under each member of the map a weighted sum of
 squared normals, here one χ² of the same mean and variance (Satterthwaite 1946, Biometrics Bulletin 2, 110). The upper
@@ -74,10 +74,17 @@ class LoadErrors:
 
 @dataclass(frozen=True, slots=True)
 class ForceError:
-    """Error of force over the loads that matter: root mean square [N], and its upper bound [N]."""
+    """Error of force over the loads that matter, root mean square.
+
+    Parameters
+    ----------
+    expected_N, upper_N : expected error, and its upper bound.
+    floor_N : what would remain if the map were known: scatter of single loads, noise, and what all forces share.
+    """
 
     expected_N: float
     upper_N: float
+    floor_N: float
 
 
 def expect_force_error(response: LearnedMap, places_mm: Array, errors: LoadErrors, confidence: float) -> ForceError:
@@ -99,6 +106,7 @@ def expect_force_error(response: LearnedMap, places_mm: Array, errors: LoadError
     return ForceError(
         _total_N(float(response.weights @ member_mean), response.scatter, errors),
         _total_N(upper, response.scatter, errors),
+        _total_N(errors.shared**2, response.scatter, errors),
     )
 
 

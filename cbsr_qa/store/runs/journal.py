@@ -248,7 +248,7 @@ class Journal:
 
     @_store.register
     def _(self, event: PressDecided, connection: Connection) -> None:
-        errors = {"expected_n": event.expected_N, "upper_n": event.upper_N}
+        errors = {"expected_n": event.expected_N, "upper_n": event.upper_N, "floor_n": event.floor_N}
         row = row_of(DecisionRow, event, run=self._run, load_index=event.load, **errors)
         add_rows(connection, self._run, DecisionRow, [row])
 

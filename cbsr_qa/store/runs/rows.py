@@ -79,7 +79,14 @@ def decisions_of(connection: Connection, run: str) -> tuple[PressDecided, ...]:
     query = select(*DecisionRow.__table__.columns).where(DecisionRow.run == run)
     rows = connection.execute(query.order_by(DecisionRow.phase, DecisionRow.pressed))
     return tuple(
-        convert_row(PressDecided, row, load=row.load_index, expected_N=row.expected_n, upper_N=row.upper_n)
+        convert_row(
+            PressDecided,
+            row,
+            load=row.load_index,
+            expected_N=row.expected_n,
+            upper_N=row.upper_n,
+            floor_N=row.floor_n,
+        )
         for row in rows
     )
 

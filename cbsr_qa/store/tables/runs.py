@@ -270,6 +270,7 @@ class DecisionRow(Base):
     y_mm: Mapped[float | None]
     expected_n: Mapped[float | None]  #: expected force error of what was learned so far [N]; None: nothing was
     upper_n: Mapped[float | None]  #: its upper bound [N]
+    floor_n: Mapped[float | None]  #: what would remain if the map were known [N]
     why: Mapped[str] = mapped_column(Word(16))  #: "start", "error", "target" or "most presses"
     time_s: Mapped[float]
 

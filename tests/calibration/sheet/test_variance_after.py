@@ -22,7 +22,7 @@ def loads(count=9, seed=1):
 
 
 def variance_with(response, number, place, places, variance, bend):
-    """Variance at the targets of a member that has one more load, of any value: the variance does not depend on it."""
+    """Variance at the targets of a member that has one more load; the value of the load does not matter."""
     member = response.members[number]
     columns = np.ones((len(variance), 1)) if bend is None else np.column_stack([np.ones(len(variance)), bend])
     columns = np.vstack([columns, np.eye(columns.shape[1])[0]])
