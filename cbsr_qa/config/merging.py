@@ -137,7 +137,7 @@ def restore(canonical: str) -> Configuration:
 
 
 def restore_recipe(content: Mapping[str, Any]) -> Recipe:
-    """Return the recipe of a stored configuration, with the batch's model if it has one. ConfigError if it is wrong."""
+    """Return the recipe of a stored configuration, with the batch's model if it has one."""
     return _with_batch(load_recipe(content["recipe"]).value, content.get(_BATCH))
 
 

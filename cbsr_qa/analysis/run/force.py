@@ -152,7 +152,7 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
 
 
 def _choose_prior(run: RunObservation) -> tuple[MapLearner, BorrowedKernels | None]:
-    """Return how the map is learned, and kernels to borrow: by the run's loads alone, or by those of its batch too."""
+    """Return what learns the map, from the run's loads alone or with its batch, and the batch's kernels."""
     if run.settings.prior == "none":
         return learn_response, None
     from cbsr_qa.analysis.run.batch_prior import choose_batch_prior  # loads what few recipes need
@@ -178,7 +178,7 @@ class LongHolds:
 
 
 def long_holds(run: RunObservation) -> LongHolds:
-    """Return the longest holds of a run. CbsrError if it has no load with a force, or its noise cannot be estimated."""
+    """Return the longest holds of a run. CbsrError if it has no load with a force, or no noise."""
     of_run = run.derive(_RunForce)
     longest_s = max(load.hold_s for load in of_run.loads)
     loads = [load for load in of_run.loads if load.hold_s >= LONG * longest_s]

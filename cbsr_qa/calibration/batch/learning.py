@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import BatchUse
 
-#: A sensor is not like its batch if its loads are less probable than this by it, and more by a sensor of another batch.
+#: A sensor is not like its batch if its loads are less probable than this by it, and more so of another batch.
 _UNLIKE: Final = 0.05
 #: Spacing and reach of the places over which the batch's share is averaged, over the radius of the sheet.
 _PLACES, _REACH = 13, 0.8

@@ -66,7 +66,7 @@ class CalibrationLoads:
 
 
 class MapLearner(Protocol):
-    """Learns a map from single loads; arguments as of :func:`~cbsr_qa.calibration.sheet.response_map.learn_response`."""
+    """Learns a map from single loads, as :func:`~cbsr_qa.calibration.sheet.response_map.learn_response` does."""
 
     def __call__(
         self,

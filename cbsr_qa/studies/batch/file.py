@@ -1,22 +1,41 @@
 """The model of a batch as it is kept: in a database, and as a JSON file that holds all a run needs to use it."""
 
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
 from cbsr_qa.config.merging import BATCH_LAYOUT, digest_batch_model
+from cbsr_qa.config.paths import batches_folder, writable_folder
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.batch_model import KeptBatch, KeptMember, KeptSensor
 from cbsr_qa.studies.batch.study import LEVEL, BatchStudy
 from cbsr_qa.system.files import write_atomically, writing
 
 
-def write_model(study: BatchStudy, path: Path) -> None:
-    """Write a model's file, whole or not at all. RefusedError if it exists, or its folder cannot be written to."""
-    check_new(path)
+def write_model(study: BatchStudy, path: Path | None) -> Path:
+    """Write a model's file, whole or not at all, and return its path.
+
+    Parameters
+    ----------
+    path : file that must not exist yet; None for the folder of batches, where an equal model stays as it is.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists, or its folder cannot be written to.
+    """
     kept = keep_model(study)
+    if path is not None:
+        check_new(path)
+    else:
+        name = re.sub(r"[^\w.-]", "_", kept.batch)
+        path = writable_folder(batches_folder()) / f"{name}-{kept.content_sha256[:16]}.json"
+        if path.exists():
+            return path
     with writing(path), write_atomically(path) as file:
         file.write(json.dumps(asdict(kept), indent=1, ensure_ascii=False).encode())
+    return path
 
 
 def check_new(path: Path) -> None:
