@@ -99,7 +99,7 @@ class _Sparse:
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         holds_whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
         for step in self._sequence.steps(context):
-            if isinstance(step, Hold) and step.acquire and not holds_whole and step.hold_s > kept_s:
+            if type(step) is Hold and step.acquire and not holds_whole and step.hold_s > kept_s:
                 yield Hold(step.hold_s - kept_s, acquire=False)
                 yield AcquireFrames(_FRAMES_BEFORE)
             else:
