@@ -38,7 +38,7 @@ _FRAMES_BEFORE: Final = 4
 
 @lru_cache(maxsize=256)
 def station_seconds(setting: Setting) -> float:
-    """Longest time a setting occupies the simulated station, by a dry run: rests, travel and surfaces included [s]."""
+    """Longest time a setting occupies the simulated station, by a dry run with rests, travel and surfaces [s]."""
     configuration = _configuration(setting.recipe(), 1, setting.frame_period_s)
     return dry_run(plan_of(configuration, discover()), setting.frame_period_s).duration_s
 

@@ -126,9 +126,7 @@ def list_ways_per_press() -> Ways:
         {"drift": 0.25},
         {"few_frames": True},
     ]
-    together = replace(
-        _SHORT, plane=True, clearance_mm=2.0, rest_s=30.0, residue_percent=1.0, drift=0.25, few_frames=True
-    )
+    together = replace(_SHORT, plane=True, clearance_mm=2.0, residue_percent=2.0, drift=0.25, few_frames=True)
     more = [replace(together, places=count) for count in (16, 24)]
     return [(series, setting) for setting in (*(replace(_SHORT, **saving) for saving in alone), *more)]
 
