@@ -83,6 +83,7 @@ class MotionTable(Table):
     travel_speed_mm_per_min: Positive
     hover_mm: Positive
     homing_s: Positive | None = None
+    clearance_mm: Positive = 1.0
 
 
 class SafetyTable(Table):
