@@ -71,6 +71,11 @@ class DryPhase:
         """Expected duration; of a phase that decides with its most presses [s]."""
         return sum(self.durations_s[: len(counted_steps(self.scheduled))])
 
+    @property
+    def presses(self) -> int:
+        """Number of presses; of a phase that decides the most that are left."""
+        return sum(isinstance(scheduled.step, Press) for scheduled in counted_steps(self.scheduled))
+
     def duration_with_s(self, presses: int) -> float:
         """Expected duration of a phase that decides with a number of presses, those of earlier sessions included."""
         return sum(self.durations_s[: len(counted_steps(self.scheduled, presses))])
@@ -147,7 +152,7 @@ def dry_run(
         phases,
         walk.spent.table(),
         walk.travel_mm,
-        sum(isinstance(s.step, Press) for p in phases for s in counted_steps(p.scheduled)),
+        sum(phase.presses for phase in phases),
         sum(p.frames for p in phases),
         walk.peak_strain,
         walk.peak_force_N,

@@ -20,7 +20,8 @@ _DECISIONS: Final = """
         label TEXT NOT NULL, x_mm {real}, y_mm {real}, expected_n {real}, upper_n {real}, floor_n {real},
         why VARCHAR(16) NOT NULL, time_s {real} NOT NULL,
         CONSTRAINT pk_decisions PRIMARY KEY (run, phase, pressed),
-        CONSTRAINT fk_decisions_run_phase_phases FOREIGN KEY(run, phase) REFERENCES phases (run, phase)){without_rowid}
+        CONSTRAINT fk_decisions_run_phase_phases FOREIGN KEY(run, phase)
+        REFERENCES phases (run, phase)){without_rowid}
     """
 
 

@@ -1,7 +1,7 @@
 """What the presses of a run so far say about force: the error that it would have, and after one more press."""
 
 from dataclasses import dataclass
-from typing import Final, Self
+from typing import Self
 
 import numpy as np
 
@@ -19,10 +19,6 @@ from cbsr_qa.calibration.sheet.learned_map import LearnedMap
 from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.observation import RunObservation
-
-#: Relative error that forces after predicted holds share beyond what the readings state: standard deviation between
-#: simulated sensors of which a residue of 3 % decays in five minutes.
-_RESIDUES: Final = 0.018
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -95,4 +91,4 @@ def _shared_error(learned: LearnedForce, relative: Array, used: Mask) -> float:
     That of the surest predicted hold is nearly all the kernel's, and each hold has the same.
     """
     predicted = np.array(learned.predicted, dtype=np.bool_)[used]
-    return float(np.hypot(relative[predicted].min(), _RESIDUES)) if predicted.any() else 0.0
+    return float(relative[predicted].min()) if predicted.any() else 0.0

@@ -75,7 +75,9 @@ class Control:
             for step in phase.steps
             if isinstance(step.step, Press) and step.load is not None
         ]
-        self.status.plan({phase.index: phase.name for phase in phases}, presses, done)
+        most = sum(phase.loads if phase.goal is None else phase.goal.at_most for phase in phases)
+        names = {phase.index: phase.name for phase in phases}
+        self.status.plan(names, presses, done, most if plan.decides else None)
         self._notify()
 
     @contextmanager

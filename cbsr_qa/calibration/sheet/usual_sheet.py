@@ -1,8 +1,9 @@
 """Which places to press before anything is known of a sheet, and how far each press gets: a usual sheet's variance.
 
-The logarithm of a usual sheet's response has an unknown mean and varies by 20 % over 0.4 radii (Gaussian); single
-loads scatter by 1 %. Both are chosen by us. The variance that presses leave does not depend on what they measure, so
-that their order can be stated before a run (the greedy design of Krause, Singh & Guestrin 2008, JMLR 9, 235).
+The logarithm of a usual sheet's response has an unknown mean and varies by 20 % over 0.4 radii, with a Gaussian
+covariance or Matérn 5/2, which are as likely; single loads scatter by 1 %. All of that is chosen by us. The variance
+that presses leave does not depend on what they measure, so that their order can be stated before a run (greedy, as in
+Krause, Singh & Guestrin 2008, JMLR 9, 235).
 """
 
 from typing import Final
@@ -37,23 +38,25 @@ def order_presses(
     """
     every = np.vstack([candidates_mm, targets_mm, pressed_mm.reshape(-1, 2)])
     n, end = len(candidates_mm), len(candidates_mm) + len(targets_mm)
-    correlation = compute_covariance(every, every, USUAL_LENGTH * radius_mm, smooth=True)
-    covariance = USUAL_DEVIATION**2 * correlation + _UNKNOWN
+    correlations = [compute_covariance(every, every, USUAL_LENGTH * radius_mm, smooth) for smooth in (True, False)]
+    covariances = USUAL_DEVIATION**2 * np.array(correlations) + _UNKNOWN
     for number in range(end, len(every)):
-        covariance = _press(covariance, number)
+        covariances = _press(covariances, number)
     chosen: list[int] = []
     left = []
     for _ in range(count):
-        gain = (covariance[:n, n:end] ** 2).sum(axis=1) / (np.diag(covariance)[:n] + USUAL_SCATTER**2)
+        pressed_variance = np.diagonal(covariances, axis1=1, axis2=2)[:, :n] + USUAL_SCATTER**2
+        gain = ((covariances[:, :n, n:end] ** 2).sum(axis=2) / pressed_variance).sum(axis=0)
         gain[chosen] = -1.0
         # Rounded, so that mirror images are told apart by their number and not by the last bits.
         chosen.append(int(np.argmax(np.round(gain / gain.max(), 9))))
-        covariance = _press(covariance, chosen[-1])
-        left.append(float(np.diag(covariance)[n:end].mean()))
+        covariances = _press(covariances, chosen[-1])
+        left.append(float(np.diagonal(covariances, axis1=1, axis2=2)[:, n:end].mean()))
     return chosen, np.array(left)
 
 
-def _press(covariance: Array, number: int) -> Array:
-    column = covariance[:, number]
-    pressed: Array = covariance - np.outer(column, column) / (covariance[number, number] + USUAL_SCATTER**2)
+def _press(covariances: Array, number: int) -> Array:
+    column = covariances[:, :, number]
+    variance = covariances[:, number, number] + USUAL_SCATTER**2
+    pressed: Array = covariances - column[:, :, None] * column[:, None, :] / variance[:, None, None]
     return pressed

@@ -1,12 +1,12 @@
 """Presses of which the run decides one after the other, until the force of the calibration is good enough."""
 
 from collections.abc import Iterator
-from typing import Annotated, Final
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.plugin import Array, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
+from cbsr_qa.plugin import Array, Hold, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
 from cbsr_qa_plugins.sequences import parts
 from cbsr_qa_plugins.sequences.places import Radius
 
@@ -47,11 +47,12 @@ class AdaptiveGridSequence(WithOptions):
     label : prefix of the labels.
     initial_rest_s : rest before the unloaded frames.
     find_surface : whether the surface is found at each place before it is pressed.
-    unloaded_frames : number of unloaded frames before the first press.
+    unloaded_frames : number of unloaded frames before the first press; 0 where an earlier phase has taken them.
 
     """
 
     class Options(parts.RestedOptions):
+        unloaded_frames: parts.Frames | Literal[0] = parts.UNLOADED_FRAMES
         target_N: Annotated[float, Field(gt=0, le=1e3)]
         confidence: Annotated[float, Field(ge=0.5, le=0.99)] = 0.8
         at_least: Annotated[int, Field(ge=3, le=1000)] = 6
@@ -96,7 +97,10 @@ class AdaptiveGridSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options = self.options
-        yield from parts.take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
+        if options.unloaded_frames:
+            yield from parts.take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
+        elif options.initial_rest_s:
+            yield Hold(options.initial_rest_s, acquire=True)
         for number, (x_mm, y_mm) in enumerate(options.places_mm()):
             if options.find_surface:
                 yield from parts.find_surfaces([(x_mm, y_mm)])
