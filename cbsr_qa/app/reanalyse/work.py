@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from functools import cache
 
 from cbsr_qa.analysis.evaluate import evaluate_run
-from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.config.loader import load_recipe, load_standards
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.software import software_versions
@@ -67,7 +67,9 @@ def analyse_again(job: Job) -> Worked:
         recipe = load_recipe(json.loads(job.recipe)).value
         with open_store(job.database, create=False) as store:
             record = store.runs.load(job.run)
-        conclusion = evaluate_run(record, recipe, plugins, stages)
+            station = json.loads(store.runs.read_configuration(job.run)).get("station", {})
+        standards = load_standards(station).value if station.get("standards") else ()
+        conclusion = evaluate_run(record, recipe, plugins, stages, standards=standards)
     except CbsrError as error:
         return Worked(None, error.reason, worker=worker, peak_mb=_peak_mb())
     observation = conclusion.observation
