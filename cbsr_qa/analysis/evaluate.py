@@ -48,14 +48,22 @@ class Conclusion:
     characterisation: Characterisation | None = None
 
 
-def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages) -> Conclusion:
+def evaluate_run(
+    record: RunRecord,
+    recipe: Recipe,
+    plugins: Plugins,
+    stages: Stages,
+    *,
+    standards: Sequence[ReferenceStandard] = (),
+) -> Conclusion:
     """Analyse and judge a stored run.
 
     Parameters
     ----------
-    record : record as loaded from the store; no other input.
+    record : record as loaded from the store.
     recipe : says how to image, what to measure and what is allowed.
     stages : progress and timing.
+    standards : reference standards that the run's station states, as stored with it.
 
     Returns
     -------
@@ -76,6 +84,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     try:
         with stages.stage("imaging"), come_back_once():
             observation = observe_run(record, reconstruction, recipe.analysis)
+            observation = replace(observation, standards=tuple(standards))
     except BaseException as error:  # noqa: BLE001 - a plugin may raise anything, and the run is stored
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _empty_conclusion(f"the frames cannot be imaged: {failure(error)}", remedy)

@@ -15,12 +15,14 @@ from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import RecipeFile, with_picture
 from cbsr_qa.config.scene import STATION_TABLES, SceneFile
 from cbsr_qa.config.sensor_type import ScannedTypeFile, SensorTypeFile
+from cbsr_qa.config.standards import StandardsFile
 from cbsr_qa.config.station import StationFile, resolve_options
 from cbsr_qa.config.tables import FileModel, validate
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
 from cbsr_qa.domain.plan.scene_plan import ScenePlan
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.sensor.electrodes import widest_ring_mm
 from cbsr_qa.domain.sensor.mesh import mesh_arrays
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
@@ -158,6 +160,11 @@ def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
     kept_keys = {key: value for key, value in electrodes.items() if key not in ("diameter_mm", "length_mm")}
     ring_mm = UNIT_MM if is_arc else widest_ring_mm(width_mm, UNIT_MM)
     return {**kept_keys, "ring_radius_mm": ring_mm, "length_mm" if is_arc else "diameter_mm": width_mm}
+
+
+def load_standards(source: Source) -> Loaded[tuple[ReferenceStandard, ...]]:
+    """Load reference standards from a file of their own, or of a station. See :func:`load_station` for errors."""
+    return _load(DocumentKind.STANDARDS, StandardsFile, source, None)
 
 
 def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:

@@ -8,11 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.analysis.ring import RING, check_ring
-from cbsr_qa.app.gate.station_state import CORRECT_DATE, dated_later, past_due
+from cbsr_qa.app.gate.station_state import CORRECT_DATE
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
+from cbsr_qa.domain.plan.standards import dated_later, past_due
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
