@@ -18,6 +18,7 @@ from cbsr_qa.domain.results.batch import KeptBatch, KeptMember, KeptSensor
 from cbsr_qa.studies.batch.study import BatchStudy
 from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.json_text import parse_json
 
 _LAYOUT: Final = 1
 #: Size above that of any model's file [bytes].
@@ -81,7 +82,7 @@ def read_model(path: Path) -> KeptBatch:
     RefusedError if it cannot be read, is of another layout, or was changed.
     """
     try:
-        content = json.loads(read_foreign(path, _MOST_BYTES).decode())
+        content = parse_json(read_foreign(path, _MOST_BYTES))
         kept = fill_from_mapping(KeptBatch, content)
     except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
         why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
@@ -115,5 +116,5 @@ def make_prior(kept: KeptBatch) -> BatchPrior:
 
 
 def _digest_content(content: dict[str, Any]) -> str:
-    rest = {key: value for key, value in content.items() if key not in ("content_sha256",)}
-    return hashlib.sha256(canonical_json(json.loads(json.dumps(rest))).encode()).hexdigest()
+    rest = {key: value for key, value in content.items() if key != "content_sha256"}
+    return hashlib.sha256(canonical_json(parse_json(json.dumps(rest))).encode()).hexdigest()
