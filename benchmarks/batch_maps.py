@@ -1,11 +1,11 @@
 """What the batch as prior does to a sensor's map, also where maps are not what the model assumes.
 
-``python -m benchmarks.batch_maps --batches 20 --sensors 5`` draws batches of N earlier sensors of 16 presses, and new
-sensors of 4, 9 and 16 presses; maps vary by 20 %, a press scatters by 1.1 %. Prints, by kind of map, ρ, N and presses:
-the error of the new sensor's response with the batch and without (root mean square over the area, %), their ratio with
-its standard error, in pairs by batch; the coverage of intervals of 68 and 95 % with the batch and without; the share
-of sensors of the batch, and of another one, that are named as unlike. A sensor that is named counts as one without a
-batch.
+``python -m benchmarks.batch_maps --batches 20 --sensors 5`` draws batches of N earlier sensors of 16 presses, and
+new sensors of 4, 9 and 16 presses; maps vary by 20 %, a press scatters by 1.1 %. Prints, by kind of map, ρ, N and
+presses: the error of the new sensor's response with the batch and without (root mean square over the area, %), their
+ratio with its standard error, in pairs by batch; the coverage of intervals of 68 and 95 % with the batch and without;
+the share of sensors of the batch, and of another one, that are named as unlike. A sensor that is named counts as one
+without a batch.
 """
 
 import os

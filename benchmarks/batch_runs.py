@@ -206,7 +206,9 @@ def main() -> None:
                 tested[name].append(one)
                 sys.stdout.write(f"{batch} {index} {name}: {one}\n")
                 sys.stdout.flush()
-    sys.stdout.write("| recipe | presses | minutes | error [N] | in 68 % | in 95 % | unlike |\n|" + " --- |" * 7 + "\n")
+    sys.stdout.write(
+        "| recipe | presses | minutes | error [N] | in 68 % | in 95 % | unlike |\n|" + " --- |" * 7 + "\n"
+    )
     for name, of_recipe in tested.items():
         sys.stdout.write(describe(name, of_recipe))
 

@@ -1,6 +1,6 @@
 """Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -8,6 +8,7 @@ from cbsr_qa.analysis.answers import validate_answer
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.analysis.run.place import run_place
+from cbsr_qa.calibration.force.validity import batch_words
 from cbsr_qa.calibration.issue import issue_calibration
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
 from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
@@ -94,7 +95,15 @@ def evaluate_run(
     if recipe.analysis.learn_place:
         with stages.stage("learning the place"):
             run_place(observation)
-    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed_metrics))
+    warnings = (*observation.warnings, *_warn_unlike(observation), *failed_metrics)
+    return Conclusion(observation, judged, decide(judged), warnings)
+
+
+def _warn_unlike(run: RunObservation) -> Iterator[str]:
+    """Yield a warning if the sensor is not like the batch that its recipe takes as prior."""
+    learned = run_force(run).learned if run.settings.prior == "batch" else None
+    if learned is not None and learned.model.batch is not None and not learned.model.batch.alike:
+        yield batch_words(learned.model.batch)
 
 
 def _empty_conclusion(why: str, remedy: str = "") -> Conclusion:

@@ -1,6 +1,5 @@
 """The batch's model that a run takes as prior: found, and checked against the run before anything moves."""
 
-import json
 from contextlib import nullcontext
 from pathlib import Path
 from typing import Final
@@ -12,6 +11,7 @@ from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.opening import open_existing
 from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.json_text import parse_json
 
 #: Size above that of any model's file [bytes].
 _MOST_BYTES: Final = 2**26
@@ -22,7 +22,7 @@ _MOST_DRIFT: Final = 1.0
 def read_model_file(path: Path) -> KeptBatch:
     """Read a model's file. ConfigError if it cannot be read, is of another layout, or was changed."""
     try:
-        content = json.loads(read_foreign(path, _MOST_BYTES).decode())
+        content = parse_json(read_foreign(path, _MOST_BYTES))
     except (OSError, ValueError) as error:
         why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
         raise ConfigError(

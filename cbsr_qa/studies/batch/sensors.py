@@ -1,6 +1,5 @@
 """What a stored run says about its sensor: loads for the map, and how it relaxes."""
 
-import json
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -20,6 +19,7 @@ from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.json_text import parse_json
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -47,7 +47,7 @@ def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
     CbsrError
         If the run cannot be imaged, or fewer than three loads determine the response.
     """
-    configuration = json.loads(store.runs.read_configuration(record.identity.run))
+    configuration = parse_json(store.runs.read_configuration(record.identity.run))
     recipe, method = _load_recipe(
         canonical_json({key: configuration[key] for key in RECIPE_KEYS if key in configuration})
     )
@@ -71,7 +71,7 @@ def map_loads(run: RunObservation, force: RunForce) -> SensorLoads:
 
 @lru_cache(maxsize=4)
 def _load_recipe(canonical: str) -> tuple[Recipe, Reconstruction]:
-    recipe = restore_recipe(json.loads(canonical))
+    recipe = restore_recipe(parse_json(canonical))
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     return recipe, method
 
