@@ -6,7 +6,7 @@ from typing import Annotated, Final, Literal
 import numpy as np
 from pydantic import Field
 
-from cbsr_qa.plugin import Array, Hold, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
+from cbsr_qa.plugin import Array, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
 from cbsr_qa_plugins.sequences import parts
 from cbsr_qa_plugins.sequences.places import Radius
 
@@ -48,10 +48,12 @@ class AdaptiveGridSequence(WithOptions):
     initial_rest_s : rest before the unloaded frames.
     find_surface : whether the surface is found at each place before it is pressed.
     unloaded_frames : number of unloaded frames before the first press; 0 where an earlier phase has taken them.
+    unloaded_before, surface, touches_mm, surface_tolerance_mm, clearance_mm, drift, least_initial_rest_s : as of
+        ``location-grid``.
 
     """
 
-    class Options(parts.RestedOptions):
+    class Options(parts.SurfaceOptions):
         unloaded_frames: parts.Frames | Literal[0] = parts.UNLOADED_FRAMES
         target_N: Annotated[float, Field(gt=0, le=1e3)]
         confidence: Annotated[float, Field(ge=0.5, le=0.99)] = 0.8
@@ -97,12 +99,11 @@ class AdaptiveGridSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options = self.options
-        if options.unloaded_frames:
-            yield from parts.take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
-        elif options.initial_rest_s:
-            yield Hold(options.initial_rest_s, acquire=True)
+        by_plane = options.surface == "plane"
+        # Without a plane each surface is found when its place is pressed.
+        yield from parts.prepare_sheet(options, options.places_mm() if by_plane else ())
         for number, (x_mm, y_mm) in enumerate(options.places_mm()):
-            if options.find_surface:
+            if options.find_surface and not by_plane:
                 yield from parts.find_surfaces([(x_mm, y_mm)])
             load = Load(f"{options.label}{number}", x_mm, y_mm, options.strain_percent / 100, 0)
             yield from parts.press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)

@@ -96,23 +96,28 @@ class RestedOptions(PluginOptions):
     unloaded_frames: Frames = UNLOADED_FRAMES
 
 
-class QuickOptions(RestedOptions):
-    """What may take less time per press: the surface, travel, and rests."""
+class SurfaceOptions(RestedOptions):
+    """What may take less time before the first press, and between presses: the surface, travel, the first rest."""
 
     unloaded_before: bool = False
     surface: Literal["each", "plane"] = "each"
     touches_mm: Touches = ()
     surface_tolerance_mm: Annotated[float, Field(ge=0.01, le=1)] = 0.1
     clearance_mm: Clearance = None
-    residue_percent: Annotated[float, Field(ge=0.01, le=100)] | None = None
-    least_rest_s: Rest = 5.0
     drift: Drift = None
     least_initial_rest_s: Rest = 30.0
 
 
+class QuickOptions(SurfaceOptions):
+    """What may take less time per press: the same, and rests whose following press is known."""
+
+    residue_percent: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    least_rest_s: Rest = 5.0
+
+
 def prepare_sheet(options: RestedOptions, places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
     """Find the surfaces if requested, let the sheet rest, and take the unloaded frames."""
-    if not isinstance(options, QuickOptions):
+    if not isinstance(options, SurfaceOptions):
         if options.find_surface:
             yield from find_surfaces(places_mm)
         yield from take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
@@ -123,6 +128,10 @@ def prepare_sheet(options: RestedOptions, places_mm: Iterable[tuple[float, float
         yield from touch_plane(options.touches_mm or spread_touches(list(places_mm)), options.surface_tolerance_mm)
     elif options.find_surface:
         yield from find_surfaces(places_mm)
+    if not options.unloaded_frames:
+        if options.initial_rest_s:
+            yield Hold(options.initial_rest_s, acquire=True)
+        return
     frames = _FEW_FRAMES if options.unloaded_before else options.unloaded_frames
     yield from take_unloaded_frames(options.initial_rest_s, frames, options.drift, options.least_initial_rest_s)
 
