@@ -1,10 +1,10 @@
 """Presses of which the run decides one after the other, until the force of the calibration is good enough."""
 
 from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
 from cbsr_qa.plugin import Array, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
 from cbsr_qa_plugins.sequences import parts
@@ -12,8 +12,19 @@ from cbsr_qa_plugins.sequences.places import Radius
 
 #: None are given where the places are those of the lattice.
 Places = Annotated[tuple[Annotated[tuple[parts.Coordinate, parts.Coordinate], Array], ...], Array]
+#: Fewest presses of a map.
+_FEWEST: Final = 3
 #: Turns between neighbouring seeds of a sunflower.
 _GOLDEN: Final = 2 - (1 + 5**0.5) / 2
+
+
+def _check_frames(count: int) -> int:
+    if 0 < count < parts.UNLOADED_FRAMES:
+        raise ValueError(f"it must be 0, or {parts.UNLOADED_FRAMES} or more")
+    return count
+
+
+FramesOrNone = Annotated[int, Field(ge=0, le=100_000), AfterValidator(_check_frames)]
 
 
 def sunflower_mm(count: int, radius_mm: float) -> tuple[tuple[float, float], ...]:
@@ -54,11 +65,11 @@ class AdaptiveGridSequence(WithOptions):
     """
 
     class Options(parts.SurfaceOptions):
-        unloaded_frames: parts.Frames | Literal[0] = parts.UNLOADED_FRAMES
+        unloaded_frames: FramesOrNone = parts.UNLOADED_FRAMES
         target_N: Annotated[float, Field(gt=0, le=1e3)]
         confidence: Annotated[float, Field(ge=0.5, le=0.99)] = 0.8
-        at_least: Annotated[int, Field(ge=3, le=1000)] = 6
-        at_most: Annotated[int, Field(ge=3, le=1000)] = 24
+        at_least: Annotated[int, Field(ge=_FEWEST, le=1000)] = 6
+        at_most: Annotated[int, Field(ge=_FEWEST, le=1000)] = 24
         count: Annotated[int, Field(ge=1, le=1000)] = 30
         radius_mm: Radius = 40.0
         locations_mm: Annotated[Places, parts.once("nothing")] = ()
@@ -76,7 +87,12 @@ class AdaptiveGridSequence(WithOptions):
             """Presses are at least as many as must be, and at most as many as there are places."""
             if self.at_most < self.at_least:
                 yield Problem(("at_most",), f"is {self.at_most}", f"it must be at_least, {self.at_least} or more")
-            if self.at_most > (places := len(self.places_mm())):
+            if (places := len(self.places_mm())) < _FEWEST:
+                where = "locations_mm" if self.locations_mm else "count"
+                yield Problem(
+                    (where,), f"gives {places} places", f"it must give {_FEWEST} or more: fewer make no map"
+                )
+            elif self.at_most > places:
                 yield Problem(
                     ("at_most",), f"is {self.at_most}", f"it must be at most {places}, the number of places"
                 )
