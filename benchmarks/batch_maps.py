@@ -4,8 +4,8 @@
 new sensors of 4, 9 and 16 presses; maps vary by 20 %, a press scatters by 1.1 %. Prints, by kind of map, ρ, N and
 presses: the error of the new sensor's response with the batch and without (root mean square over the area, %), their
 ratio with its standard error, in pairs by batch; the share of further presses within intervals of 68 and 95 %, with
-the batch and without; the share of sensors of the batch, and of another one, that are named as unlike. A sensor that is named counts as one
-without a batch.
+the batch and without; the share of sensors of the batch, and of another one, that are named as unlike. A sensor that
+is named counts as one without a batch.
 """
 
 import os
