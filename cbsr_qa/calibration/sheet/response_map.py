@@ -7,6 +7,7 @@ mean response, which, since responses are relative to the field of the head itse
 sensitivity.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -20,6 +21,7 @@ from cbsr_qa.calibration.sheet.response_processes import (
     combine_loads,
     compute_covariance,
     condition_family,
+    covary_processes,
     predict_processes,
 )
 from cbsr_qa.domain.errors import CalibrationError
@@ -61,15 +63,54 @@ class ResponseMap:
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""
-        means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
-        kinds = [(member.smooth, member.length_mm) for member in self.members]
-        for kind in dict.fromkeys(kinds):
-            among = [number for number, other in enumerate(kinds) if other == kind]
-            kernel = compute_covariance(self.places_mm, places_mm, kind[1], kind[0])
-            means[among], variances[among] = predict_processes([self.members[number] for number in among], kernel)
+        means, variances = self.predict_members(places_mm)
         mean: Array = self.weights @ means
         variance: Array = self.weights @ (variances + (means - mean) ** 2)
         return mean, np.maximum(variance, 0.0)
+
+    def predict_members(self, places_mm: Array) -> tuple[Array, Array]:
+        """Means and variances (m, n) of each member at places (n, 2)."""
+        means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
+        for (smooth, length_mm), among, members in self._by_kernel():
+            kernel = compute_covariance(self.places_mm, places_mm, length_mm, smooth)
+            means[among], variances[among] = predict_processes(members, kernel)
+        return means, variances
+
+    def covariance(self, places_mm: Array, others_mm: Array) -> Array:
+        """Posterior covariance (m, n, t) of each member, of places (n, 2) with others (t, 2)."""
+        covariances = np.empty((len(self.members), len(places_mm), len(others_mm)))
+        for (smooth, length_mm), among, members in self._by_kernel():
+            to_places, to_others = (
+                compute_covariance(self.places_mm, mm, length_mm, smooth) for mm in (places_mm, others_mm)
+            )
+            mutual = compute_covariance(places_mm, others_mm, length_mm, smooth)
+            covariances[among] = covary_processes(members, (to_places, to_others), mutual)
+        return covariances
+
+    def variance_after(self, candidates_mm: Array, targets_mm: Array, variance: float) -> Array:
+        """Variance (m, n, t) of each member at targets (t, 2) after one more load at each candidate (n, 2).
+
+        The hyperparameters of a member stay as they are, so that the load changes its variance by one rank:
+        v(t) − c(x, t)² / (v(x) + variance + scatter²). The load is one of the calibration's middle stress, which the
+        line's intercept does not change.
+
+        Parameters
+        ----------
+        variance : variance of the logarithm of the new load's response, by noise.
+        """
+        _, at_candidates = self.predict_members(candidates_mm)
+        _, at_targets = self.predict_members(targets_mm)
+        scatter = np.array([member.scatter for member in self.members])
+        observed = at_candidates + (variance + scatter**2 + _ROUNDING)[:, None]
+        after = at_targets[:, None] - self.covariance(candidates_mm, targets_mm) ** 2 / observed[:, :, None]
+        return np.maximum(after, 0.0)
+
+    def _by_kernel(self) -> Iterator[tuple[tuple[bool, float], list[int], list[Process]]]:
+        """Yield each kind and length of kernel with its members and their numbers."""
+        kinds = [(member.smooth, member.length_mm) for member in self.members]
+        for kind in dict.fromkeys(kinds):
+            among = [number for number, other in enumerate(kinds) if other == kind]
+            yield kind, among, [self.members[number] for number in among]
 
     @cached_property
     def scatter(self) -> float:
