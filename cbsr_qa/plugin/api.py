@@ -43,13 +43,16 @@ from cbsr_qa.domain.plan.steps import (
     AcquireFrames as AcquireFrames,
     FindSurface as FindSurface,
     Hold as Hold,
+    LowerHover as LowerHover,
     MarkUnloaded as MarkUnloaded,
     Press as Press,
     Prompt as Prompt,
     Release as Release,
     Role as Role,
+    Settle as Settle,
     Step as Step,
     StrainStep as StrainStep,
+    TouchPlane as TouchPlane,
 )
 from cbsr_qa.domain.plan.world import (
     CONTACT_LENGTH_MM as CONTACT_LENGTH_MM,

@@ -127,6 +127,25 @@ class ForceApplicator(Instrument, Protocol):
 
 
 @runtime_checkable
+class GuidedApplicator(ForceApplicator, Protocol):
+    """A force applicator that is told where the surface is, and how high to travel.
+
+    Optional; a recipe that finds the surface as a plane, or lowers the hover height, is refused without it.
+    """
+
+    def expect_surface(self, x_mm: float, y_mm: float, depth_mm: float) -> None:
+        """Take the surface at a place as this far below the hover height, as if it had been found there."""
+        ...
+
+    def lower_hover(self, by_mm: float) -> None:
+        """Lift and travel this far below the hover height from now on, 0 for the hover height; moves nothing.
+
+        ``home`` and ``safe_state`` go to the hover height in any case, and ``home`` ends it.
+        """
+        ...
+
+
+@runtime_checkable
 class Sampler(Instrument, Protocol):
     """Samples one quantity all the time: a load cell (``force`` in N, compression positive), a thermometer."""
 

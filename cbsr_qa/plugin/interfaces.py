@@ -15,7 +15,7 @@ from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.report import Section
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.domain.sensor.sensor_type import SensorType
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 
 
 class RecordingFormat(Protocol):
@@ -176,11 +176,13 @@ class SequenceContext:
     Parameters
     ----------
     seed : of the run; a sequence that draws numbers addresses them by its own name.
+    material : of the sensor; None where steps are made outside of a run.
     """
 
     sensor_type: SensorType
     indenter: Indenter
     seed: int
+    material: Material | None = None
 
 
 class Sequence(Protocol):

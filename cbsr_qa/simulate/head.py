@@ -145,7 +145,7 @@ class SimulatedHead:
         self._clock = clock
         self._motion = motion
         self._place = (0.0, 0.0)
-        self._depth_mm = -motion.hover_mm
+        self._depth_mm = self._up_mm = -motion.hover_mm
         self._written = PressWriter(sheet, (*self._place, self._depth_mm), first_index=first_index)
         self._speed_mm_s = motion.press_speed_mm_s
         self._found: dict[tuple[float, float], float] = {}
@@ -166,6 +166,14 @@ class SimulatedHead:
         self._place = (x_mm, y_mm)
         self._written.travel((*self._place, self._depth_mm), self._clock.now())
 
+    def expect_surface(self, x_mm: float, y_mm: float, depth_mm: float) -> None:
+        """Take the surface at a place as this far below the hover height."""
+        self._found[(x_mm, y_mm)] = depth_mm - self._motion.hover_mm
+
+    def lower_hover(self, by_mm: float) -> None:
+        """Lift and travel this far below the hover height from now on."""
+        self._up_mm = by_mm - self._motion.hover_mm
+
     def press(self, depth_mm: float, speed_mm_s: float) -> None:
         """Move to a depth below the surface found here (or else the nearest found, or else nominal)."""
         surface = self._surface_mm()
@@ -175,11 +183,12 @@ class SimulatedHead:
         self._go(surface + depth_mm, speed_mm_s)
 
     def lift(self) -> None:
-        """Move to the hover height: out of the sheet at the speed of the press, then faster."""
+        """Move up to the hover height: out of the sheet at the speed of the press, then faster."""
         clear = self._surface_mm() - CLEARANCE_MM
         if self._depth_mm > clear:
             self._go(clear, self._speed_mm_s)
-        self._go(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+        higher_mm = max(self._depth_mm, -self._motion.hover_mm)  # a head above a lowered hover height stays there
+        self._go(min(self._up_mm, higher_mm), self._motion.travel_speed_mm_s)
 
     def drop_everything(self) -> None:
         """Start lifting at the travel speed and return; the next movement waits for the lift."""

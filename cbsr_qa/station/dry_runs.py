@@ -4,24 +4,30 @@ import copy
 from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
+from typing import Final
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import steps as kinematics
+from cbsr_qa.domain.plan.plan import Motion
 from cbsr_qa.domain.plan.steps import (
     AcquireFrames,
     FindSurface,
     Hold,
     Home,
+    LowerHover,
     MarkUnloaded,
     Press,
     Prompt,
     Release,
+    Settle,
     Step,
     StrainStep,
+    TouchPlane,
 )
 from cbsr_qa.domain.readings.loads import Load
 from cbsr_qa.station.limits import (
     Violation,
+    clearance_violations,
     dwell_violations,
     highest_force_N,
     load_violations,
@@ -41,6 +47,9 @@ from cbsr_qa.station.plan import (
     schedule,
     split_presses,
 )
+
+#: Touches that give a plane.
+_PLANE: Final = 3
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,6 +103,7 @@ class DryRun:
     ----------
     peak_strain, peak_force_N : highest requested strain, and highest expected force; 0 without loads.
     violations : every broken limit once, in words, with the first step that breaks it; empty if the plan may run.
+    sooner_s : by how much rests that end when the sheet is stable may shorten the run.
     """
 
     phases: tuple[DryPhase, ...]
@@ -104,9 +114,11 @@ class DryRun:
     peak_strain: float
     peak_force_N: float
     violations: tuple[str, ...]
+    sooner_s: float = 0.0
 
     @property
     def duration_s(self) -> float:
+        """Longest duration."""
         return sum(seconds for _, seconds in self.spent)
 
     def refuse(self) -> None:
@@ -145,6 +157,7 @@ def dry_run(
         walk.peak_strain,
         walk.peak_force_N,
         walk.violations(),
+        walk.sooner_s,
     )
 
 
@@ -167,9 +180,14 @@ class _DryWalk:
     down_s: float = 0.0  #: station time when the head was down
     dwelt: bool = False  #: this press was down for too long, as already reported
     frames: int = 0
+    sooner_s: float = 0.0
+    clearance_mm: float | None = None  #: that this phase lowers the hover height to
+    height_mm: float | None = None  #: of the head that is up; None: the station's hover height
+    touches: int = 0  #: of a plane; with three the highest point of the surface is known
 
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
         self.frames = 0
+        self.clearance_mm = None
         counted = counted_steps(scheduled)
         durations_s = self._walk(scheduled, counted)
         if self.depth_mm is not None:
@@ -217,11 +235,15 @@ class _DryWalk:
             case FindSurface(x_mm=x_mm, y_mm=y_mm):
                 yield from place_violations(x_mm, y_mm, self.plan)
                 self._travel(x_mm, y_mm)
-                self.spent.add(Activity.SURFACE, kinematics.surface_search_s(self.plan.motion))
+                self.spent.add(Activity.SURFACE, kinematics.surface_search_s(self._motion))
+                self.touches += isinstance(step, TouchPlane)
+            case LowerHover(clearance_mm=clearance_mm):
+                yield from clearance_violations(clearance_mm, self.plan)
+                self.clearance_mm = clearance_mm
             case Release():
                 if self.depth_mm is None:
                     yield Violation("order", "the head is not down")
-                self.spent.add(Activity.RELEASE, kinematics.stroke_s(self.plan.motion, self.depth_mm or 0.0))
+                self.spent.add(Activity.RELEASE, kinematics.stroke_s(self._motion, self.depth_mm or 0.0))
                 self.depth_mm = None
             case Hold():
                 yield from self._hold(step)
@@ -234,7 +256,7 @@ class _DryWalk:
                 self.spent.add(
                     Activity.HOME, kinematics.homing_s(self.plan.motion, self.plan.safety.travel_radius_mm)
                 )
-                self.place_mm = (0.0, 0.0)
+                self.place_mm, self.height_mm = (0.0, 0.0), None
             case AcquireFrames(count=count):
                 if count < 1:
                     yield Violation("order", f"{count} frames; at least 1 is needed")
@@ -259,7 +281,7 @@ class _DryWalk:
     def _press(self, load: Load) -> None:
         depth_mm = load.strain * self.plan.sensor_type.thickness_mm
         self._travel(load.x_mm, load.y_mm)
-        self.spent.add(Activity.PRESS, kinematics.stroke_s(self.plan.motion, depth_mm))
+        self.spent.add(Activity.PRESS, kinematics.stroke_s(self._motion, depth_mm))
         self.load = load
         self._down(load.strain)
         self.down_s, self.dwelt = self.spent.total_s(), False
@@ -282,15 +304,30 @@ class _DryWalk:
         kind = Activity.REST if self.depth_mm is None else Activity.HOLD
         if not 0 <= step.hold_s < float("inf"):
             yield Violation("order", f"hold_s is {step.hold_s}; it must be finite and at least 0")
-        elif not step.acquire:
+            return
+        if isinstance(step, Settle):
+            window_s = kinematics.SETTLE_FRAMES * self.frame_period_s
+            self.sooner_s += max(step.hold_s - max(step.least_s, window_s), 0.0)
+        if not step.acquire:
             self.spent.add(kind, step.hold_s)
         else:
             count = frames_in_hold(step.hold_s, self.frame_period_s)
             self.frames += count
             self.spent.add(kind, max(step.hold_s, count * self.frame_period_s))
 
+    @property
+    def _motion(self) -> Motion:
+        """The station's, with the hover height as it is lowered now."""
+        if self.clearance_mm is None:
+            return self.plan.motion
+        above_mm = self.clearance_mm + (0.0 if self.touches >= _PLANE else kinematics.SEARCH_FROM_MM)
+        return replace(self.plan.motion, hover_mm=min(above_mm, self.plan.motion.hover_mm))
+
     def _travel(self, x_mm: float, y_mm: float) -> None:
+        motion = self._motion
         distance_mm = kinematics.distance_mm(self.place_mm, (x_mm, y_mm))
         self.travel_mm += distance_mm
-        self.spent.add(Activity.TRAVEL, kinematics.travel_s(self.plan.motion, distance_mm))
+        height_mm = self.plan.motion.hover_mm if self.height_mm is None else self.height_mm
+        self.spent.add(Activity.TRAVEL, kinematics.travel_s(motion, distance_mm + abs(height_mm - motion.hover_mm)))
+        self.height_mm = motion.hover_mm
         self.place_mm = (x_mm, y_mm)

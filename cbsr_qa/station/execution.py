@@ -4,10 +4,10 @@ import logging
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import Any, Final, Protocol
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
-from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, SafetyError
-from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, MarkUnloaded, Release
+from cbsr_qa.domain.errors import AbortedError, CbsrError, ConfigError, InstrumentError, SafetyError
+from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, LowerHover, MarkUnloaded, Release, TouchPlane
 from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.run.run import (
     PhaseFinished,
@@ -20,6 +20,7 @@ from cbsr_qa.domain.run.run import (
     StepStarted,
 )
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.plugin.instruments import GuidedApplicator
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.documents import Documents, Subscriber, Warn
@@ -34,6 +35,9 @@ from cbsr_qa.station.watchdog import BrokenInto, Watchdog
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.reserve import MemoryReserve
 from cbsr_qa.system.words import describe_error
+
+if TYPE_CHECKING:
+    from cbsr_qa.station.surface import SheetSurface
 
 #: End of a run: reason and detail.
 Ending = tuple[EndReason, str]
@@ -153,6 +157,7 @@ def execute(
     dry = dry_run(plan, bench.frame_source.frame_period_s, done=done, ended=ended, answered=ask is not None)
     dry.refuse()
     check_samplers(plan, bench.samplers)
+    surface = _follow_surface(dry, plan, bench)
     interlock = Interlock()
     prompt = ask if isinstance(ask, OperatorPrompt) else OperatorPrompt(ask)
     reserve = MemoryReserve()
@@ -176,10 +181,29 @@ def execute(
         follow = [] if decider is None else [decider.follow]
         documents = Documents([subscribers[0], *follow, *subscribers[1:]], interrupts, warn)
         run = UnderWay(plan, bench, clock, documents, interlock, interrupts, watchdog)
-        performer = Performer(run, retries=retries, ask=None if ask is None else prompt)
+        performer = Performer(run, retries=retries, ask=None if ask is None else prompt, surface=surface)
         execution = _Execution(dry, run, performer, prompt, desk or ControlDesk(), decider, reserve)
         end, detail = execution.to_its_end(identity)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
+
+
+def _follow_surface(dry: DryRun, plan: Plan, bench: Bench) -> "SheetSurface | None":
+    """Return what follows the surface for a recipe with steps that need it, or None.
+
+    ConfigError if the bench's force applicator cannot be told where the surface is.
+    """
+    steps = [scheduled.step for phase in dry.phases for scheduled in phase.scheduled.steps]
+    if not any(isinstance(step, TouchPlane | LowerHover) for step in steps):
+        return None
+    from cbsr_qa.station.surface import SheetSurface  # other recipes need none
+
+    applicator = bench.force_applicator
+    if not isinstance(applicator, GuidedApplicator):
+        raise ConfigError(
+            f"{bench.name_of(applicator)} cannot be told where the surface is or how high to travel",
+            remedy='let the recipe\'s phases have surface = "each" and no clearance_mm',
+        )
+    return SheetSurface(applicator, plan.motion, plan.safety.travel_radius_mm + plan.indenter.reach_mm)
 
 
 @dataclass(frozen=True, slots=True)

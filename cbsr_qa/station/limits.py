@@ -98,6 +98,17 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
         yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
 
 
+def clearance_violations(clearance_mm: float, plan: Plan) -> Iterator[Violation]:
+    """Yield violations of the height above the sheet at which the head is let travel."""
+    lowest_mm, hover_mm = plan.motion.clearance_mm, plan.motion.hover_mm
+    if not lowest_mm <= clearance_mm <= hover_mm:
+        yield Violation(
+            "travel",
+            f"the head would travel {clearance_mm:g} mm above the sheet; the station allows {lowest_mm:g} to"
+            f" {hover_mm:g} mm",
+        )
+
+
 def dwell_violations(dwell_s: float, plan: Plan) -> Iterator[Violation]:
     """Yield violations of the time the head has been down without lifting."""
     if not dwell_s <= plan.safety.dwell_s + _ROUNDING_S:

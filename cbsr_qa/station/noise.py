@@ -63,3 +63,24 @@ class NoiseSoFar:
             step = voltages - self._mean
             self._mean = self._mean + step / self._frames
             self._squares += step * (voltages - self._mean)
+
+
+def relative_drift(frames: FrameBlock, usable: NDArray[np.bool_]) -> float:
+    """Drift between the halves of some frames, as a share of the noise of one frame.
+
+    Both are root mean squares over the usable readings; noise comes from successive frames, and what it adds to the
+    difference of two means is taken off. 0 where the difference is no more than that; infinite without noise.
+
+    Parameters
+    ----------
+    usable : (drives, measures) bool.
+    """
+    counted = usable & ~(frames.flags & UNUSABLE).any(axis=0)
+    voltages = frames.voltages[:, counted]
+    half = len(voltages) // 2
+    squared = ((voltages[half:].mean(axis=0) - voltages[:half].mean(axis=0)) ** 2).sum()
+    noise = (np.diff(voltages, axis=0) ** 2).mean(axis=0).sum() / 2
+    excess = squared - noise * (1 / half + 1 / (len(voltages) - half))
+    if excess <= 0:
+        return 0.0
+    return float(np.sqrt(excess / noise)) if noise > 0 else float("inf")

@@ -1,9 +1,10 @@
 """Execution of single steps on the bench, and the times of the current press until it is recorded."""
 
+from collections import deque
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from functools import partial
-from typing import Final, TypeVar
+from typing import TYPE_CHECKING, Final, TypeVar
 
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.plan import steps as kinematics
@@ -12,13 +13,15 @@ from cbsr_qa.domain.plan.steps import (
     FindSurface,
     Hold,
     Home,
+    LowerHover,
     MarkUnloaded,
     Press,
     Prompt,
     Release,
+    Settle,
     StrainStep,
 )
-from cbsr_qa.domain.readings.frames import FrameBlock
+from cbsr_qa.domain.readings.frames import FrameBlock, join_frames
 from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.run.attendance import RunContinued, RunPaused
 from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, StepRetried, Unloaded
@@ -26,9 +29,13 @@ from cbsr_qa.plugin.instruments import Addressed
 from cbsr_qa.station.bench import FRAME_SOURCE
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.limits import Limits
+from cbsr_qa.station.noise import relative_drift
 from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, another_frame, ends_rest
 from cbsr_qa.station.safety import State, UnderWay, Watch
 from cbsr_qa.system.clock import passing, round_to_ticks
+
+if TYPE_CHECKING:
+    from cbsr_qa.station.surface import SheetSurface
 
 
 @dataclass(slots=True)
@@ -103,6 +110,7 @@ class Performer:
     ----------
     retries : most repetitions of an operation that failed retryably.
     ask : function that shows a prompt and returns when it is answered; None without an operator.
+    surface : what is known of the sheet's surface; None for recipes that leave it to the applicator.
     """
 
     def __init__(
@@ -111,6 +119,7 @@ class Performer:
         *,
         retries: int,
         ask: Ask | None,
+        surface: "SheetSurface | None" = None,
     ) -> None:
         self.spent = Spent()
         self._plan, self._bench, self._clock, self._documents = run.plan, run.bench, run.clock, run.documents
@@ -120,6 +129,8 @@ class Performer:
         self._head = run.bench.name_of(run.bench.force_applicator)
         self._retries = retries
         self._ask = ask
+        self._surface = surface
+        self._rest: Hold | None = None
         self._loads = LoadLog()
         self._at = ScheduledStep(0, 0, Home(), None)
         self._addressed = [
@@ -131,11 +142,7 @@ class Performer:
 
         After an InstrumentError, SafetyError or AbortedError the bench is left as it is, for the caller to stop.
         """
-        if ends_rest(scheduled.step):
-            self.finish_load()
-        self._at = scheduled
-        for instrument in self._addressed:
-            instrument.begin_step(scheduled.phase, scheduled.number)
+        self._begin(scheduled)
         match scheduled.step:
             case Press(load=load):
                 self._press(load)
@@ -154,6 +161,15 @@ class Performer:
             case _:
                 self._set_up(scheduled)
         self._look()
+
+    def _begin(self, scheduled: ScheduledStep) -> None:
+        if ends_rest(scheduled.step):
+            self.finish_load()
+        if self._surface is not None and scheduled.phase != self._at.phase:
+            self._surface.lower_hover(None)
+        self._at = scheduled
+        for instrument in self._addressed:
+            instrument.begin_step(scheduled.phase, scheduled.number)
 
     def retreat(self) -> None:
         """Lift a head that is down and still as after any press, before the bench is made safe."""
@@ -220,17 +236,30 @@ class Performer:
                 reach_mm = self._plan.safety.travel_radius_mm
                 with self.spent.on(Activity.HOME, self._clock):
                     self._move(applicator.home, "homing", kinematics.homing_s(self._plan.motion, reach_mm))
-            case FindSurface(x_mm=x_mm, y_mm=y_mm):
-                self._travel(x_mm, y_mm)
-                self._feel(partial(applicator.find_surface, x_mm, y_mm))
+                if self._surface is not None:
+                    self._surface.forget()
+            case FindSurface(x_mm=x_mm, y_mm=y_mm) as touch:
+                depth_mm = self._find_surface(x_mm, y_mm)
+                if self._surface is not None:
+                    self._surface.add(touch, depth_mm)
+            case LowerHover(clearance_mm=clearance_mm):
+                assert self._surface is not None  # made for every recipe that has such a step
+                self._surface.lower_hover(clearance_mm)
             case Prompt(text=text, picture=picture):
                 assert self._ask is not None  # the dry run refuses prompts without an operator
                 with self.spent.on(Activity.PROMPT, self._clock), self._interrupts.idle():
                     self._ask(text, picture)
 
+    def _find_surface(self, x_mm: float, y_mm: float) -> float:
+        """Return the surface's depth below the hover height [mm]."""
+        self._travel(x_mm, y_mm)
+        return self._feel(partial(self._bench.force_applicator.find_surface, x_mm, y_mm))
+
     def _press(self, load: Load) -> None:
         self._limits.check_load(load)
         self._travel(load.x_mm, load.y_mm)
+        if self._surface is not None:
+            self._surface.expect((load.x_mm, load.y_mm))
         motion = self._plan.motion
         depth_mm = load.strain * self._plan.sensor_type.thickness_mm
         assert self._at.load is not None
@@ -239,6 +268,24 @@ class Performer:
             self._loads.begin(self._at.load, load, self._clock.now(), kinematics.lift_off_s(motion, depth_mm))
             self._go_down(depth_mm)
         self._loads.mark(self._clock.now())
+        if self._surface is not None:
+            self._check_contact(load, self._surface)
+
+    def _check_contact(self, load: Load, surface: "SheetSurface") -> None:
+        """Find the surface, rest again and press again where a press did not meet the sheet at the plane."""
+        self._look()
+        place_mm, depth_mm = (load.x_mm, load.y_mm), load.strain * self._plan.sensor_type.thickness_mm
+        began_s, down_s = self._loads.times_s
+        contact_mm = surface.contact_mm(self._bench.samplers, began_s, down_s, depth_mm)
+        why = surface.check_contact(place_mm, contact_mm)
+        if not why:
+            return
+        self._documents.emit(StepRetried(self._at.phase, self._at.number, 1, why))
+        self.retreat()
+        surface.correct(place_mm, self._find_surface(*place_mm))
+        if self._rest is not None:
+            self._hold(self._rest)
+        self._press(load)
 
     def _ease(self, strain: float) -> None:
         """Move to another depth under the same limits as a press; a failure is not retried."""
@@ -295,7 +342,7 @@ class Performer:
         with self._interlock.passing(State.MOVING, State.ARMED):
             self._attempt(motion, f"{self._head}: {what}", work_s, before_another=self._lift)
 
-    def _feel(self, search: Callable[[], object]) -> None:
+    def _feel(self, search: Callable[[], float]) -> float:
         """Let the applicator search the surface; it touches the sheet, so force samples must be fresh.
 
         The search is one call: while it lasts the driver watches over force and its freshness, and the runner
@@ -307,18 +354,38 @@ class Performer:
         ):
             self._look()
             work_s = kinematics.surface_search_s(self._plan.motion)
-            self._attempt(search, f"{self._head}: feeling for the surface", work_s, before_another=self._lift)
+            what = f"{self._head}: feeling for the surface"
+            depth_mm = self._attempt(search, what, work_s, before_another=self._lift)
             self._look()
+        return depth_mm
 
     def _hold(self, hold: Hold) -> None:
+        if isinstance(hold, Settle):
+            self._settle(hold)
+            return
         end_s = self._clock.now() + hold.hold_s
         kind = Activity.HOLD if self._interlock.touching else Activity.REST
+        if hold.acquire and kind is Activity.REST:
+            self._rest = hold
         with self.spent.on(kind, self._clock):
             if hold.acquire:
                 self._take_frame()
                 while another_frame(end_s - self._clock.now(), self._bench.frame_source.frame_period_s):
                     self._take_frame()
             self._wait_until(end_s)
+
+    def _settle(self, rest: Settle) -> None:
+        """Rest with frames until they are stable, or the time is over."""
+        begin_s, period_s = self._clock.now(), self._bench.frame_source.frame_period_s
+        usable = self._plan.sensor_type.pattern.usable()
+        window: deque[FrameBlock] = deque(maxlen=kinematics.SETTLE_FRAMES)
+        with self.spent.on(Activity.REST, self._clock):
+            while another_frame(begin_s + rest.hold_s - self._clock.now(), period_s):
+                window.append(self._take_frame())
+                long_enough = self._clock.now() - begin_s >= rest.least_s and len(window) == window.maxlen
+                if long_enough and relative_drift(join_frames(list(window)), usable) < rest.drift:
+                    return
+            self._wait_until(begin_s + rest.hold_s)
 
     def _wait_until(self, end_s: float) -> None:
         while (left_s := end_s - self._clock.now()) > _OVER_S:
@@ -327,7 +394,7 @@ class Performer:
                 self._clock.sleep(pause_s)
             self._look()
 
-    def _take_frame(self) -> None:
+    def _take_frame(self) -> FrameBlock:
         source, before_s = self._bench.frame_source, self._clock.now()
         source_name = self._bench.name_of(source)
         block = self._attempt(partial(source.acquire, 1), f"{source_name}: a frame", source.frame_period_s)
@@ -335,6 +402,7 @@ class Performer:
         self._documents.emit(FramesTaken(self._at.phase, block))
         self._limits.check_frame(block, source_name)  # after the journal has stored it as evidence
         self._look()
+        return block
 
     def _check_frame(self, block: FrameBlock, took_s: float) -> None:
         expected = (1, *self._plan.sensor_type.pattern.shape)

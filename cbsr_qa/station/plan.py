@@ -16,11 +16,13 @@ from cbsr_qa.domain.plan.steps import (
     FindSurface,
     Hold,
     Home,
+    LowerHover,
     MarkUnloaded,
     Press,
     Prompt,
     Release,
     Role,
+    Settle,
     Step,
     StrainStep,
 )
@@ -100,17 +102,23 @@ def describe(step: Step) -> str:
             description = f"pressing {describe_load(load)}"
         case StrainStep(strain=strain):
             description = f"going to {100 * strain:g} %"
-        case Hold(hold_s=hold_s, acquire=acquire):
-            description = f"holding still for {hold_s:g} s{', taking frames' if acquire else ''}"
+        case LowerHover(clearance_mm=clearance_mm):
+            description = f"lowering the hover height to {clearance_mm:g} mm"
+        case Hold() as hold:
+            description = _describe_hold(hold)
         case Release():
             description = "releasing"
         case AcquireFrames(count=count):
             description = f"taking {count} frames"
-        case MarkUnloaded():
-            description = "marking the sheet as rested"
         case Prompt(text=text):
             description = f"asking: {text}"
-    return description
+    return "marking the sheet as rested" if isinstance(step, MarkUnloaded) else description
+
+
+def _describe_hold(hold: Hold) -> str:
+    if isinstance(hold, Settle):
+        return f"resting for {hold.least_s:g} to {hold.hold_s:g} s until the readings are stable"
+    return f"holding still for {hold.hold_s:g} s{', taking frames' if hold.acquire else ''}"
 
 
 def describe_load(load: Load) -> str:
@@ -170,7 +178,7 @@ class Plan:
 
     @property
     def context(self) -> SequenceContext:
-        return SequenceContext(self.sensor_type, self.indenter, self.seed)
+        return SequenceContext(self.sensor_type, self.indenter, self.seed, self.material)
 
 
 #: Most steps of a sequence; one with more counts as endless.

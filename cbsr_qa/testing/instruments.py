@@ -18,7 +18,7 @@ from cbsr_qa.domain.plan.plan import Motion
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit, join_frames
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.sensor.sensor_type import SensorType
-from cbsr_qa.plugin.instruments import ForceApplicator, FrameSource, Instrument, Sampler
+from cbsr_qa.plugin.instruments import ForceApplicator, FrameSource, GuidedApplicator, Instrument, Sampler
 from cbsr_qa.system.clock import Clock, RealClock
 from cbsr_qa.testing.checked import Checked, demand, describe_failure
 
@@ -141,6 +141,8 @@ def check_applicator(
     demand(head, near, f"finds the surface {surface_mm!r} mm below a hover height of {motion.hover_mm:g} mm")
     done.append(Checked("surface", f"{surface_mm:.4g} mm below the hover height"))
     done.append(_check_strokes(head, clock, motion, depth_mm, seen))
+    if isinstance(head, GuidedApplicator):
+        done.append(_check_guided(head, motion, surface_mm, depth_mm, places[1], seen))
     head.press(depth_mm, motion.press_speed_mm_s)
     head.move_to(*places[1])  # a head that is down is lifted, not dragged
     seen.up("travelling")
@@ -186,6 +188,13 @@ class _Seen:
                 self._head, height_mm > 0.9 * self._hover_mm, f"is {height_mm:.3g} mm above the sheet after {after}"
             )
 
+    def demand_height(self, height_mm: float, after: str) -> None:
+        """Demand that it is at a height above the sheet, to half a millimetre."""
+        if self._depth_now_mm is not None:
+            found_mm = -self._depth_now_mm()
+            near = abs(found_mm - height_mm) <= 0.5
+            demand(self._head, near, f"is {found_mm:.3g} mm above the sheet after {after}, not {height_mm:.3g} mm")
+
     def demand_depth(self, depth_mm: float) -> None:
         """Demand that it is at a depth, to a tenth of a millimetre: surfaces are found to about that."""
         if self._depth_now_mm is not None:
@@ -221,6 +230,36 @@ def _check_strokes(head: ForceApplicator, clock: Clock, motion: Motion, depth_mm
     demand(head, took_s[3] > 0, "comes up in no time")
     return Checked(
         "strokes", f"down {took_s[0]:.3g} s, eased {took_s[1]:.3g} and {took_s[2]:.3g} s, up {took_s[3]:.3g} s"
+    )
+
+
+#: How much lower than found a surface is said to be, and how low the head is then told to travel [mm].
+_LOWER_MM: Final = 0.3
+_CLEARANCE_MM: Final = 3.0
+
+
+def _check_guided(
+    head: GuidedApplicator,
+    motion: Motion,
+    surface_mm: float,
+    depth_mm: float,
+    place_mm: tuple[float, float],
+    seen: _Seen,
+) -> Checked:
+    """Presses from the surface that it is told, and travels as low as it is told until it homes."""
+    head.lower_hover(surface_mm - _CLEARANCE_MM)
+    head.expect_surface(*place_mm, surface_mm + _LOWER_MM)
+    head.move_to(*place_mm)
+    head.press(depth_mm, motion.press_speed_mm_s)
+    seen.demand_depth(depth_mm + _LOWER_MM)
+    head.release()
+    seen.demand_height(_CLEARANCE_MM, "being released to a lowered hover height")
+    safe_state_s(head)
+    head.home()
+    seen.up("homing from a lowered hover height")
+    head.move_to(0.0, 0.0)
+    return Checked(
+        "guided", f"pressed from a surface it was told, and travelled {_CLEARANCE_MM:g} mm above the sheet"
     )
 
 

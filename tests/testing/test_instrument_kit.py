@@ -70,8 +70,16 @@ def test_the_simulated_bench():
     assert names(check_frame_source(bench, clock, sensor_type())) == ["identity", "safe state", "frames"]
     assert names(check_sampler(bench, clock)) == ["identity", "safe state", "samples"]
     head = check_applicator(bench, clock, MOTION)
-    assert names(head) == ["identity", "safe state", "surface", "strokes", "safe while down"]
+    assert names(head) == ["identity", "safe state", "surface", "strokes", "guided", "safe while down"]
     assert "the bench is closed" in check_closing(bench, lambda: bench.acquire(1)).found
+
+
+def test_a_head_that_does_not_listen_where_the_surface_is(station, monkeypatch):
+    head = station.open("applicator", open_applicator)
+    head.link({"force_applicator": head, "force": WorldForce(station.rig)})
+    monkeypatch.setattr(type(head), "expect_surface", lambda *told: None)
+    with pytest.raises(AssertionError, match=r"mm deep when told to press 0.7 mm"):
+        check_applicator(head, station.clock, MOTION, depth_now_mm=lambda: -station.head.height_mm)
 
 
 def test_a_replayed_recording():

@@ -14,7 +14,7 @@ from cbsr_qa.analysis.recording.reading import find_format, run_guarded
 from cbsr_qa.analysis.recording.table_files import TableForm, read_table_recording
 from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
 from cbsr_qa.config.documents import DocumentKind, list_shipped
-from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.config.loader import load_scanned_type, load_sensor_type
 from cbsr_qa.config.paths import reports_folder
 from cbsr_qa.domain.errors import (
     CbsrError,
@@ -266,7 +266,7 @@ def _read_table(path: Path, request: AnalyseRequest, form: TableForm) -> tuple[R
             raise RefusedError(f"{name} is for recordings; {path.name} is a table with --pattern", remedy=remedy)
     if request.sensor_type is None:
         raise RefusedError("--pattern without --sensor-type", remedy="name a sensor type, or its file")
-    return read_table_recording(path, form, load_sensor_type(request.sensor_type).value)
+    return read_table_recording(path, form, load_scanned_type(request.sensor_type).value)
 
 
 def analyse_frames(

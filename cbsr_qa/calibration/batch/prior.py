@@ -13,6 +13,7 @@ from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameter
 from cbsr_qa.calibration.batch.loads import ROUNDING, SensorLoads
 from cbsr_qa.calibration.sheet.response_processes import compute_covariance
 from cbsr_qa.domain.numbers import Array, Mask
+from cbsr_qa.domain.results.calibration import BatchUse
 
 #: Least weight of members that are kept for a sensor.
 _NEGLIGIBLE: Final = 1e-5
@@ -252,6 +253,48 @@ class BatchMap:
         self._batch_places_mm, self._loads, self._parts = batch_places_mm, loads, parts
         self._weights = np.concatenate([part.family.weights for part in parts])
         self._weights /= self._weights.sum()
+        #: What it owes to the batch, as its calibration states it.
+        self.batch: BatchUse | None = None
+
+    @property
+    def weights(self) -> Array:
+        """Posterior weights (m,) of the members, with sum one."""
+        return self._weights
+
+    def predict_members(self, places_mm: Array) -> tuple[Array, Array]:
+        """Means and variances (m, n) of each member at places (n, 2)."""
+        described = [self._describe(part, places_mm, average=False) for part in self._parts]
+        return np.concatenate([mean for mean, _ in described]), np.concatenate(
+            [variance for _, variance in described]
+        )
+
+    def covariance(self, places_mm: Array, others_mm: Array) -> Array:
+        """Posterior covariance (m, n, t) of each member, of places (n, 2) with others (t, 2)."""
+        parts = []
+        for part in self._parts:
+            family, own_mm = part.family, self._loads.places_mm
+            at_places, at_others, at_own = (
+                family.correlate(self._batch_places_mm, mm) for mm in (places_mm, others_mm, own_mm)
+            )
+            whitened, whitened_other = (
+                np.linalg.solve(part.root, family.covary(at_own, kernel, family.correlate(own_mm, mm)))
+                for kernel, mm in ((at_places, places_mm), (at_others, others_mm))
+            )
+            prior = family.covary(at_places, at_others, family.correlate(places_mm, others_mm))
+            parts.append(prior - np.swapaxes(whitened, 1, 2) @ whitened_other)
+        return np.concatenate(parts)
+
+    def variance_after(self, candidates_mm: Array, targets_mm: Array, variance: float) -> Array:
+        """Variance (m, n, t) of each member at targets (t, 2) after one more load at each candidate (n, 2).
+
+        As of :meth:`~cbsr_qa.calibration.sheet.response_map.ResponseMap.variance_after`.
+        """
+        _, at_candidates = self.predict_members(candidates_mm)
+        _, at_targets = self.predict_members(targets_mm)
+        scatter = np.concatenate([part.family.scatter for part in self._parts])
+        observed = at_candidates + (variance + scatter + ROUNDING)[:, None]
+        after = at_targets[:, None] - self.covariance(candidates_mm, targets_mm) ** 2 / observed[:, :, None]
+        return np.maximum(after, 0.0)
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""

@@ -1,12 +1,27 @@
-"""What is asked of a learned map of the response to decide where to press next."""
+"""What is asked of a learned map of the response, by forces and by the decision where to press next."""
 
 from typing import Protocol
 
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.results.calibration import BatchUse
 
 
 class LearnedMap(Protocol):
     """A map as a mixture of m members: Gaussian processes of the logarithm of the response."""
+
+    @property
+    def batch(self) -> BatchUse | None:
+        """What it owes to the sensor's batch; None without such a prior."""
+        ...
+
+    @property
+    def bend(self) -> tuple[float, float]:
+        """Multiple of the effect of a wrong intercept of the line, and its variance; zeros without one."""
+        ...
+
+    def predict(self, places_mm: Array) -> tuple[Array, Array]:
+        """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""
+        ...
 
     @property
     def weights(self) -> Array:

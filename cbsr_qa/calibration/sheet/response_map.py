@@ -26,7 +26,7 @@ from cbsr_qa.calibration.sheet.response_processes import (
 )
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.results.calibration import BatchUse, ForceModel
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 #: Correlation lengths of the response, over the sheet's radius.
@@ -55,11 +55,13 @@ class ResponseMap:
     ----------
     places_mm : (p, 2) places of the loads, each once.
     members, weights : the processes and their posterior weights, with sum one.
+    batch : batch that the sensor was compared with and is not like; None if there was none.
     """
 
     places_mm: Array
     members: tuple[Process, ...]
     weights: Array
+    batch: BatchUse | None = None
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""

@@ -26,8 +26,10 @@ def model(
         list[str] | None, typer.Option(metavar="SERIAL", help="Leave this sensor out; may be repeated.")
     ] = None,
     to: Annotated[
-        Path | None, typer.Option(help="File of the model to write, for recipes; must not exist yet.")
+        Path | None,
+        typer.Option(help="File of the model; by default in var/batches, where runs of the batch find it."),
     ] = None,
+    dry_run: Annotated[bool, typer.Option("--dry-run", help="Show the model without keeping it.")] = False,
     output: PageOutput = None,
     database: Database = None,
     as_json: AsJson = False,
@@ -53,7 +55,7 @@ def model(
     )
     with Counting("runs") as progress:
         study = study_batch(choice, database=database, stage=progress.stage, count=progress.count)
+    file = None if dry_run else write_model(study, to)
     show(batch_outcome(study), output=output, as_json=as_json)
-    if to is not None:
-        write_model(study, to)
-        note(f"model        {to}")
+    if file is not None:
+        note(f"model        {file}")

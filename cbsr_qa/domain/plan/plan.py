@@ -76,12 +76,14 @@ class Motion:
     press_speed_mm_s : 40 mm/min in the paper.
     travel_speed_mm_s, hover_mm : speed between places, and height above the sheet.
     homing_s : time the machine takes to find the zero of its axes [s]; None where it goes there at its travel speed.
+    clearance_mm : lowest height above the surface at which a sequence may let the head travel.
     """
 
     press_speed_mm_s: float
     travel_speed_mm_s: float
     hover_mm: float
     homing_s: float | None = None
+    clearance_mm: float = 1.0
 
 
 @dataclass(frozen=True, slots=True)

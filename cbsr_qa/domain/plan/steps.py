@@ -41,6 +41,30 @@ class FindSurface:
 
 
 @dataclass(frozen=True, slots=True)
+class TouchPlane(FindSurface):
+    """Find the surface at a place as one of three or more of a plane; presses at places not found go by the plane.
+
+    Parameters
+    ----------
+    tolerance_mm : largest distance from the plane of a further touch, and of the contact of a press.
+    """
+
+    tolerance_mm: float
+
+
+@dataclass(frozen=True, slots=True)
+class LowerHover:
+    """From here to the end of the phase, lift the head no higher than this above the highest point of the surface.
+
+    Parameters
+    ----------
+    clearance_mm : from what the station allows to the hover height.
+    """
+
+    clearance_mm: float
+
+
+@dataclass(frozen=True, slots=True)
 class Press:
     """Travel to a load's place and press to its strain at press speed."""
 
@@ -76,6 +100,20 @@ class Hold:
 
 
 @dataclass(frozen=True, slots=True)
+class Settle(Hold):
+    """Rest, taking frames, until the readings drift no more, for ``hold_s`` at most.
+
+    Parameters
+    ----------
+    least_s : the rest is not shorter.
+    drift : of the readings over half of a window, as a share of the noise of one frame, below which it ends.
+    """
+
+    least_s: float
+    drift: float
+
+
+@dataclass(frozen=True, slots=True)
 class Release:
     """Lift the head to the hover height."""
 
@@ -100,7 +138,7 @@ class Prompt:
     picture: str = ""
 
 
-Step = Home | FindSurface | Press | StrainStep | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
+Step = Home | FindSurface | LowerHover | Press | StrainStep | Hold | Release | AcquireFrames | MarkUnloaded | Prompt
 
 
 #: Height above a surface below which the head moves at its press speed, as the surface may be higher than expected.
@@ -113,6 +151,8 @@ SEARCH_STEP_MM: Final = 0.05
 SEARCH_CONTACT_STEPS: Final = 3
 #: and waits after each for the load cell [s].
 SEARCH_DWELL_S: Final = 0.25
+#: Frames of the window over which a step ``Settle`` looks for a drift.
+SETTLE_FRAMES: Final = 12
 
 
 def travel_s(motion: Motion, distance_mm: float) -> float:

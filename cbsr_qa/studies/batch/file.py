@@ -1,36 +1,41 @@
-"""The file of a batch's model: JSON that holds all a run needs to use it."""
+"""The model of a batch as it is kept: in a database, and as a JSON file that holds all a run needs to use it."""
 
-import hashlib
 import json
+import re
 from dataclasses import asdict, replace
 from pathlib import Path
-from typing import Any, Final
 
-import numpy as np
-
-from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
-from cbsr_qa.calibration.batch.loads import BatchLoads, SensorLoads
-from cbsr_qa.calibration.batch.prior import BatchPrior
-from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.config.merging import BATCH_LAYOUT, digest_batch_model
+from cbsr_qa.config.paths import batches_folder, writable_folder
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.filling import fill_from_mapping
-from cbsr_qa.domain.results.batch import KeptBatch, KeptMember, KeptSensor
-from cbsr_qa.studies.batch.study import BatchStudy
+from cbsr_qa.domain.plan.batch_model import KeptBatch, KeptMember, KeptSensor
+from cbsr_qa.studies.batch.study import LEVEL, BatchStudy
 from cbsr_qa.system.files import write_atomically, writing
-from cbsr_qa.system.foreign import read_foreign
-from cbsr_qa.system.json_text import parse_json
-
-_LAYOUT: Final = 1
-#: Size above that of any model's file [bytes].
-_MOST_BYTES: Final = 2**26
 
 
-def write_model(study: BatchStudy, path: Path) -> None:
-    """Write a model's file, whole or not at all. RefusedError if it exists, or its folder cannot be written to."""
-    check_new(path)
+def write_model(study: BatchStudy, path: Path | None) -> Path:
+    """Write a model's file, whole or not at all, and return its path.
+
+    Parameters
+    ----------
+    path : file that must not exist yet; None for the folder of batches, where an equal model stays as it is.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists, or its folder cannot be written to.
+    """
     kept = keep_model(study)
+    if path is not None:
+        check_new(path)
+    else:
+        name = re.sub(r"[^\w.-]", "_", kept.batch)
+        path = writable_folder(batches_folder()) / f"{name}-{kept.content_sha256[:16]}.json"
+        if path.exists():
+            return path
     with writing(path), write_atomically(path) as file:
         file.write(json.dumps(asdict(kept), indent=1, ensure_ascii=False).encode())
+    return path
 
 
 def check_new(path: Path) -> None:
@@ -62,7 +67,7 @@ def keep_model(study: BatchStudy) -> KeptBatch:
         for choice, weight in zip(study.model.choices, study.model.weights, strict=True)
     )
     kept = KeptBatch(
-        layout=_LAYOUT,
+        layout=BATCH_LAYOUT,
         digest=study.digest,
         content_sha256="",
         batch=study.batch,
@@ -72,49 +77,9 @@ def keep_model(study: BatchStudy) -> KeptBatch:
         radius_mm=study.model.radius_mm,
         sensors=sensors,
         members=members,
+        level_drift=next(
+            (quantity.drift for quantity in study.quantities if quantity.name == LEVEL and quantity.drifts), 0.0
+        ),
+        relaxation=study.relaxation,
     )
-    return replace(kept, content_sha256=_digest_content(asdict(kept)))
-
-
-def read_model(path: Path) -> KeptBatch:
-    """Read a model's file.
-
-    RefusedError if it cannot be read, is of another layout, or was changed.
-    """
-    try:
-        content = parse_json(read_foreign(path, _MOST_BYTES))
-        kept = fill_from_mapping(KeptBatch, content)
-    except (OSError, ValueError, TypeError, KeyError, AttributeError) as error:
-        why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
-        raise RefusedError(
-            f"{path} cannot be read: {why}", remedy="cbsr-qa batch model --to FILE writes one"
-        ) from error
-    if kept.layout != _LAYOUT:
-        raise RefusedError(f"{path} is of layout {kept.layout}; this version reads {_LAYOUT}")
-    if _digest_content(content) != kept.content_sha256:
-        raise RefusedError(f"{path} was changed: its content is not that of its SHA-256", remedy="write it again")
-    return kept
-
-
-def make_prior(kept: KeptBatch) -> BatchPrior:
-    """Return the prior of a further sensor by a kept model."""
-    sensors = [
-        SensorLoads(
-            np.array(sensor.places_mm, dtype=np.float64).reshape(-1, 2),
-            np.array(sensor.log_response),
-            np.array(sensor.variance),
-            None if sensor.bend is None else np.array(sensor.bend),
-            sensor.bend_stderr,
-        )
-        for sensor in kept.sensors
-    ]
-    choices = [
-        Hyperparameters(one.smooth, one.length_mm, one.scatter, one.own, one.common, one.level)
-        for one in kept.members
-    ]
-    return BatchPrior(BatchLikelihood(BatchLoads(sensors)), choices, [member.weight for member in kept.members])
-
-
-def _digest_content(content: dict[str, Any]) -> str:
-    rest = {key: value for key, value in content.items() if key != "content_sha256"}
-    return hashlib.sha256(canonical_json(parse_json(json.dumps(rest))).encode()).hexdigest()
+    return replace(kept, content_sha256=digest_batch_model(asdict(kept)))

@@ -5,13 +5,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from cbsr_qa.analysis.run.force import RunForce, learn_without_tests
+from cbsr_qa.analysis.run.force import LongHolds, RunForce, learn_without_tests, long_holds
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.batch.loads import SensorLoads
 from cbsr_qa.calibration.file.hdf5 import calibration_of
 from cbsr_qa.calibration.sheet.response_map import intercept_column
-from cbsr_qa.config.loader import load_recipe
-from cbsr_qa.config.merging import canonical_json
+from cbsr_qa.config.merging import RECIPE_KEYS, canonical_json, restore_recipe
 from cbsr_qa.domain.plan.plan import Recipe
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.run.run import RunRecord
@@ -30,11 +29,13 @@ class StoredSensor:
     Parameters
     ----------
     loads : what its map is learned from.
+    holds : its longest holds.
     settling_s : settling times of its calibration, by signal and whether after a press.
     """
 
     record: RunRecord
     loads: SensorLoads
+    holds: LongHolds
     settling_s: dict[tuple[str, bool], float]
 
 
@@ -47,11 +48,12 @@ def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
         If the run cannot be imaged, or fewer than three loads determine the response.
     """
     configuration = parse_json(store.runs.read_configuration(record.identity.run))
-    recipe, method = _load_recipe(canonical_json(configuration["recipe"]))
-    observation = observe_run(record, method, recipe.analysis, over_time=False)
-    return StoredSensor(
-        record, map_loads(observation, learn_without_tests(observation)), _load_settling(store, record)
+    recipe, method = _load_recipe(
+        canonical_json({key: configuration[key] for key in RECIPE_KEYS if key in configuration})
     )
+    observation = observe_run(record, method, recipe.analysis, over_time=False)
+    loads = map_loads(observation, learn_without_tests(observation))
+    return StoredSensor(record, loads, long_holds(observation), _load_settling(store, record))
 
 
 def map_loads(run: RunObservation, force: RunForce) -> SensorLoads:
@@ -69,7 +71,7 @@ def map_loads(run: RunObservation, force: RunForce) -> SensorLoads:
 
 @lru_cache(maxsize=4)
 def _load_recipe(canonical: str) -> tuple[Recipe, Reconstruction]:
-    recipe = load_recipe(parse_json(canonical)).value
+    recipe = restore_recipe(parse_json(canonical))
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     return recipe, method
 

@@ -16,16 +16,20 @@ from cbsr_qa.calibration.batch.prior import BatchMap
 from cbsr_qa.config.merging import canonical_json
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.batch_model import KeptRelaxation
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.stats.difference import holm
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.batch.choice import BatchChoice, LeftOutRun, choose_runs
+from cbsr_qa.studies.batch.relaxation import learn_relaxation
 from cbsr_qa.studies.batch.sensors import StoredSensor, observe_sensor
 
 #: Number of the method: part of the digest, so that another method's models differ.
 METHOD: Final = 1
 #: Adjusted p below which a sensor stands out, and a drift is named.
 STANDS_OUT: Final = 0.05
+#: Name of the level among the quantities.
+LEVEL: Final = "level of the response"
 _CONFIDENCE: Final = 0.95
 _SEED: Final = re.compile(r", seed \d+$")
 _SPACING: Final = 31  #: places a side of the lattice over the pressed area
@@ -112,6 +116,7 @@ class BatchStudy:
     length_mm : correlation length.
     expected : error of the next sensor by its presses.
     digest : SHA-256 of the method, the runs and their chains.
+    relaxation : how its loads relax; None if no holds determine it.
     """
 
     batch: str
@@ -130,6 +135,7 @@ class BatchStudy:
     left_out: tuple[LeftOutRun, ...]
     simulated: tuple[str, ...]
     digest: str
+    relaxation: Annotated[InstanceOf[KeptRelaxation] | None, Field(exclude=True)]
     model: Annotated[InstanceOf[BatchModel], Field(exclude=True)]
     maps: Annotated[tuple[InstanceOf[BatchMap], ...], Field(exclude=True)]
     places_mm: Annotated[InstanceOf[np.ndarray], Field(exclude=True)]
@@ -212,6 +218,7 @@ def study_batch(
         # Each part once: seeds differ from run to run.
         simulated=tuple(sorted({_SEED.sub("", part) for record in records for part in record.identity.simulated})),
         digest=digest_runs([(record.identity.run, record.chain_head) for record in records]),
+        relaxation=learn_relaxation([sensor.holds for sensor in sensors]),
         model=model,
         maps=maps,
         places_mm=places_mm,
@@ -236,7 +243,7 @@ def _place_lattice(pressed_mm: Array) -> Array:
 
 
 def _describe_quantities(sensors: Sequence[StoredSensor], levels: Sequence[float]) -> tuple[BatchQuantity, ...]:
-    values = {("level of the response", "1"): dict(enumerate(levels))}
+    values = {(LEVEL, "1"): dict(enumerate(levels))}
     keys = sorted({key for sensor in sensors for key in sensor.settling_s})
     for signal, loading in keys:
         name = f"settling time of the {signal} after {'a press' if loading else 'a release'}"

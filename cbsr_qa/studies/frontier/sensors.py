@@ -38,7 +38,7 @@ _FRAMES_BEFORE: Final = 4
 
 @lru_cache(maxsize=256)
 def station_seconds(setting: Setting) -> float:
-    """Time a setting occupies the simulated station, by a dry run: rests, travel and surface finding included [s]."""
+    """Longest time a setting occupies the simulated station, by a dry run with rests, travel and surfaces [s]."""
     configuration = _configuration(setting.recipe(), 1, setting.frame_period_s)
     return dry_run(plan_of(configuration, discover()), setting.frame_period_s).duration_s
 
@@ -101,7 +101,7 @@ class _Sparse:
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         holds_whole, kept_s = False, _FRAMES_BEFORE * self._frame_s
         for step in self._sequence.steps(context):
-            if isinstance(step, Hold) and step.acquire and not holds_whole and step.hold_s > kept_s:
+            if type(step) is Hold and step.acquire and not holds_whole and step.hold_s > kept_s:
                 yield Hold(step.hold_s - kept_s, acquire=False)
                 yield AcquireFrames(_FRAMES_BEFORE)
             else:

@@ -26,6 +26,8 @@ _LONG_S: Final = 60.0
 _USUAL_FRAME_S: Final = 2.5
 #: Least rest around the random loads, which determine relaxation: residues would bias it.
 _CHECK_REST_S: Final = 30.0
+#: Shortest rest: two frames show what is left of earlier loads.
+_LEAST_REST_S: Final = 5.0
 #: Number of random loads for a scatter of forces.
 _MANY: Final = 10
 
@@ -44,6 +46,11 @@ class Setting:
     first_rest_s : before the first press.
     checks : random loads held for a minute, for relaxation and the accuracy of force.
     frame_period_s : duration of a frame; its noise falls with the square root (NPLC of the source meter).
+    plane : whether the surface is touched at three places, and not at each.
+    clearance_mm : height above the sheet at which the head travels; None for the station's hover height.
+    residue_percent : residue at the next place, in per cent of its change, at which rests end; None for fixed rests.
+    drift : of readings, as a share of a frame's noise, below which the first rest ends; None for a fixed one.
+    few_frames : whether phases after the first take four unloaded frames, and not sixteen.
     choice : choice of places: ``"sunflower"``, as in a recipe; or out of thirty ``"farthest first"`` or ``"least sure
         first"``, which evaluates the loads before the next choice.
     """
@@ -59,10 +66,22 @@ class Setting:
     checks: int = 2
     frame_period_s: float = _USUAL_FRAME_S
     choice: str = SUNFLOWER
+    plane: bool = False
+    clearance_mm: float | None = None
+    residue_percent: float | None = None
+    drift: float | None = None
+    few_frames: bool = False
 
     @property
     def knobs(self) -> dict[str, Knob]:
-        """Settings, for tables and documents."""
+        """Settings, for tables and documents; what saves time per press only where it is used."""
+        quick: dict[str, Knob | None] = {
+            "surface": "plane" if self.plane else None,
+            "clearance_mm": self.clearance_mm,
+            "residue_percent": self.residue_percent,
+            "drift": self.drift,
+            "unloaded_frames": 4 if self.few_frames else None,
+        }
         return {
             "places": self.places,
             "strains": len(self.strains_percent),
@@ -73,6 +92,7 @@ class Setting:
             "frames": self.steady_frames,
             "frame_s": self.frame_period_s,
             "choice": self.choice,
+            **{name: value for name, value in quick.items() if value is not None},
         }
 
     @property
@@ -134,9 +154,24 @@ class Setting:
                 "initial_rest_s": max(_CHECK_REST_S - self.rest_s, 0.0),
             },
         }
+        for name, keys in keys_by_phase.items():
+            keys.update(self._quick_options(name))
         if not self.checks:
             del keys_by_phase[CHECK]
         return [{**phase, **keys_by_phase[phase["name"]]} for phase in base if phase["name"] in keys_by_phase]
+
+    def _quick_options(self, phase: str) -> dict[str, Any]:
+        """Options of a phase for less time per press; only those that are used."""
+        first = phase == START
+        surfaces: dict[str, dict[str, Any]] = {GRID: {"surface": "plane"}, CHECK: {"find_surface": False}}
+        rests = {"residue_percent": self.residue_percent, "least_rest_s": min(self.rest_s, _LEAST_REST_S)}
+        return {
+            **(surfaces.get(phase, {}) if self.plane else {}),
+            **({} if self.clearance_mm is None else {"clearance_mm": self.clearance_mm}),
+            **({} if self.residue_percent is None or first else rests),
+            **({} if self.drift is None or not first else {"drift": self.drift}),
+            **({"unloaded_before": True} if self.few_frames and not first else {}),
+        }
 
 
 def phase_of_test_loads(count: int) -> dict[str, Any]:

@@ -7,7 +7,7 @@ Other ways (shorter rests, other frame times) are simulated separately.
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import Final
+from typing import Any, Final
 
 import numpy as np
 
@@ -24,6 +24,7 @@ from cbsr_qa.studies.frontier.setting import (
     GRID,
     HELD_OUT,
     LEAST_SURE,
+    START,
     SUNFLOWER,
     Setting,
     phase_of_test_loads,
@@ -40,7 +41,7 @@ QUICK_SEEDS: Final = (2001,)
 #: Sensors that confirm a chosen setting and had no part in the choice.
 NEW_SEEDS: Final = tuple(range(3001, 3009))
 #: Version of simulation and evaluation: pieces of other versions are computed again.
-_VERSION: Final = 3
+_VERSION: Final = 4
 
 #: The paper's campaign: nine locations, six strains, three trials, a minute on and a minute off.
 PAPER: Final = Setting(9, (5.0, 10.0, 15.0, 20.0, 25.0, 30.0), 3)
@@ -57,13 +58,17 @@ Ways = Sequence[tuple[str, Setting]]
 
 @dataclass(frozen=True, slots=True)
 class Tried:
-    """A setting on one sensor: its errors by name (:data:`.trial.UNITS`), or why nothing could be learned."""
+    """A setting on one sensor: its errors by name (:data:`.trial.UNITS`), or why nothing could be learned.
+
+    ``sooner_s``: by how much the first rest was shorter than the setting's.
+    """
 
     series: str
     setting: Setting
     seed: int
     errors: Mapping[str, float]
     why: str = ""
+    sooner_s: float = 0.0
 
     def __post_init__(self) -> None:
         finite_numbers(list(self.errors.values()), "errors")
@@ -108,7 +113,22 @@ def list_simulated_ways() -> Ways:
     places = [("places", replace(_SHORT, places=count)) for count in (9, 12, 16, 20, 26)]
     hold = [("places", replace(_SHORT, places=19, hold_s=10.0))]
     averaging = [("frame time", replace(_SHORT, frame_period_s=period_s)) for period_s in (1.25, 2.5, 5.0)]
-    return [*rests, *places, *hold, *averaging]
+    return [*rests, *places, *hold, *averaging, *list_ways_per_press()]
+
+
+def list_ways_per_press() -> Ways:
+    """Ways with less time per press: each saving alone, and all together."""
+    series = "time per press"
+    alone: list[dict[str, Any]] = [
+        {"plane": True},
+        {"clearance_mm": 2.0},
+        {"rest_s": 30.0, "residue_percent": 1.0},
+        {"drift": 0.25},
+        {"few_frames": True},
+    ]
+    together = replace(_SHORT, plane=True, clearance_mm=2.0, residue_percent=2.0, drift=0.25, few_frames=True)
+    more = [replace(together, places=count) for count in (16, 24)]
+    return [(series, setting) for setting in (*(replace(_SHORT, **saving) for saving in alone), *more)]
 
 
 def list_quick_ways(places: int) -> Ways:
@@ -161,7 +181,7 @@ def try_ways(whole: Setting, seed: int, ways: Ways, *, whole_holds: bool = True)
     """
     run = _Simulated(whole, seed, whole_holds=whole_holds)
     results = {setting: run.errors(setting) for setting in dict.fromkeys(setting for _, setting in ways)}
-    return [Tried(series, setting, seed, *results[setting]) for series, setting in ways]
+    return [Tried(series, setting, seed, *results[setting], run.sooner_s) for series, setting in ways]
 
 
 class _Simulated:
@@ -174,6 +194,7 @@ class _Simulated:
         run = analyse_run(self._record, load_analysis(recipe))
         self._seen = {(setting.hold_s, setting.steady_frames): select_loads(run, lambda load: load.phase != HELD_OUT)}
         self._held_out = select_loads(run, lambda load: load.phase == HELD_OUT)
+        self.sooner_s = 0.0 if setting.drift is None else setting.first_rest_s - settled_after_s(self._record)
 
     def errors(self, setting: Setting) -> tuple[Mapping[str, float], str]:
         """Errors of a setting by name, or why nothing could be learned."""
@@ -202,6 +223,16 @@ class _Simulated:
             run = analyse_run(shorten_holds(self._record, setting.hold_s), analysis)
             self._seen[key] = select_loads(run, lambda load: load.phase != HELD_OUT)
         return replace(self._seen[key], settings=analysis)
+
+
+def settled_after_s(record: RunRecord) -> float:
+    """Length of a first rest that ended when the sheet was stable: it is filled with frames [s]."""
+    start = record.phase(START)
+    assert start.frames is not None
+    assert start.unloaded_from_s is not None
+    times_s = start.frames.time_s
+    period_s = float(times_s[1] - times_s[0])
+    return float(np.count_nonzero(times_s < start.unloaded_from_s)) * period_s
 
 
 def shorten_holds(record: RunRecord, hold_s: float) -> RunRecord:
@@ -234,7 +265,10 @@ def combine_trials(trials: Sequence[Tried], seconds: Callable[[Setting], float])
     groups: dict[tuple[str, Setting], list[Tried]] = {}
     for tried in trials:
         groups.setdefault((tried.series, tried.setting), []).append(tried)
-    points = [_point(series, setting, group, seconds(setting)) for (series, setting), group in groups.items()]
+    points = [
+        _point(series, setting, group, seconds(setting) - float(np.mean([tried.sooner_s for tried in group])))
+        for (series, setting), group in groups.items()
+    ]
     return list(zip((setting for _, setting in groups), mark_worth_of_station(points), strict=True))
 
 

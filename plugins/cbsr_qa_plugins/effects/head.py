@@ -10,8 +10,9 @@ import numpy as np
 from pydantic import Field
 
 from cbsr_qa.plugin import ConfigError, HeadRing, Indenter, Moment, PluginOptions, SceneSetting, SheetDesign
-from cbsr_qa.simulate.effect import Amount, SceneEffect, check_at_most
+from cbsr_qa.simulate.effect import Amount, Positive, SceneEffect, check_at_most
 from cbsr_qa.simulate.streams import RandomStream
+from cbsr_qa_plugins.effects.sheet import draw_field
 
 _ROUNDING = 1e-9  # of the square of the head's reach
 
@@ -189,28 +190,36 @@ class MisplacedSheet(SceneEffect):
 
 
 class SheetSeat(SceneEffect):
-    """The surface of the sheet is off nominal in level and tilt: Gaussian, drawn once per seed.
+    """The surface of the sheet is off nominal in level and tilt, and may be bent: Gaussian, drawn once per seed.
 
     Parameters
     ----------
     error_mm : standard deviation of the level, and of the height of the edge along x and along y due to tilt.
+    bend_mm : standard deviation of the height by place besides.
+    bend_correlation_mm : its correlation length (Gaussian covariance).
     """
 
     class Options(PluginOptions):
         error_mm: Amount
+        bend_mm: Amount = 0.0
+        bend_correlation_mm: Positive = 30.0
 
     perturbs = "geometry"
     options: Options
 
     def prepare(self, setting: SceneSetting) -> None:
-        level, along_x, along_y = self.options.error_mm * RandomStream(setting.seed, "sheet-seat").normal(0, (3,))
+        stream = RandomStream(setting.seed, "sheet-seat")
+        level, along_x, along_y = self.options.error_mm * stream.normal(0, (3,))
         radius_mm = setting.sensor_type.radius_mm
         self._level_mm = float(level)
         self._slope = float(along_x) / radius_mm, float(along_y) / radius_mm
+        self._bend = draw_field(stream, self.options.bend_correlation_mm, 1) if self.options.bend_mm else None
 
     def apply(self, moment: Moment) -> None:
         x_mm, y_mm = moment.place_mm
         moment.surface_mm += self._level_mm + self._slope[0] * x_mm + self._slope[1] * y_mm
+        if self._bend is not None:
+            moment.surface_mm += self.options.bend_mm * float(self._bend(np.array([[x_mm, y_mm]]))[0])
 
 
 class PinPositionError(SceneEffect):

@@ -25,13 +25,13 @@ _LATTICE: Final = 41  # places a side
 _WAVES: Final = 400  # their sum is Gaussian to a kurtosis of 3 − 1.5/400
 
 
-def draw_field(stream: RandomStream, correlation_mm: float) -> SheetField:
+def draw_field(stream: RandomStream, correlation_mm: float, index: int = 0) -> SheetField:
     """Draw a Gaussian field of variance one with the covariance exp(−d²/2ℓ²).
 
     It is made of waves of random directions, lengths and phases (random Fourier features; Rahimi & Recht 2007): a
-    function of place alone, whatever the mesh. The stream's numbers of index 0 are used.
+    function of place alone, whatever the mesh. The stream's numbers of an index are used.
     """
-    random = stream.generator(0)
+    random = stream.generator(index)
     waves = random.standard_normal((_WAVES, 2)) / correlation_mm
     phases = random.uniform(0, 2 * np.pi, _WAVES)
 

@@ -128,6 +128,7 @@ class MarlinApplicator(HeadDriver):
         )
         self._speed_mm_s = self._motion.press_speed_mm_s
         self._surfaces_mm: dict[tuple[float, float], float] = {}
+        self._up_mm = -self._motion.hover_mm
         self._depths = SampleLog()
         self._watch: ForceWatch | None = None
         self.identity()
@@ -181,6 +182,7 @@ class MarlinApplicator(HeadDriver):
     def home(self) -> None:
         """Lift, find the zero of all axes, and go to the sheet's centre at the hover height."""
         self._axes.begin()
+        self.lower_hover(0.0)
         self._axes.home()
         x, y, _ = self._axes.final_position()
         self._go((x, y, self._machine.hover_z_mm), self._motion.travel_speed_mm_s)
@@ -196,6 +198,14 @@ class MarlinApplicator(HeadDriver):
             raise self._error("the force does not rise with depth at the surface", "look whether a sheet is in place")
         self._surfaces_mm[(x_mm, y_mm)] = float(-offset / stiffness)
         return self._motion.hover_mm + self._surfaces_mm[(x_mm, y_mm)]
+
+    def expect_surface(self, x_mm: float, y_mm: float, depth_mm: float) -> None:
+        """Take the surface at a place as this far below the hover height."""
+        self._surfaces_mm[(x_mm, y_mm)] = depth_mm - self._motion.hover_mm
+
+    def lower_hover(self, by_mm: float) -> None:
+        """Lift and travel this far below the hover height from now on; its stop lifts to the hover height itself."""
+        self._up_mm = by_mm - self._motion.hover_mm
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
         """Travel at the hover height, lifting first if need be."""
@@ -263,10 +273,14 @@ class MarlinApplicator(HeadDriver):
         clear_mm = self._surface_mm() - CLEARANCE_MM
         if self._depth_mm() > clear_mm:
             self._go_to_depth(clear_mm, self._speed_mm_s)
-        self._go_to_depth(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
+        self._go_to_depth(self._travel_depth_mm(), self._motion.travel_speed_mm_s)
 
     def _travel(self, x_mm: float, y_mm: float) -> None:
-        self._go(self._machine.position(x_mm, y_mm, -self._motion.hover_mm), self._motion.travel_speed_mm_s)
+        self._go(self._machine.position(x_mm, y_mm, self._travel_depth_mm()), self._motion.travel_speed_mm_s)
+
+    def _travel_depth_mm(self) -> float:
+        """Depth at which it travels: a head above a lowered hover height stays there."""
+        return min(self._up_mm, max(self._depth_mm(), -self._motion.hover_mm))
 
     def _go_to_depth(self, depth_mm: float, speed_mm_s: float, *, watched: bool = False) -> None:
         x, y, _ = self._axes.final_position()

@@ -142,6 +142,7 @@ class SimulatedBench(HeadDriver):
     def home(self) -> None:
         """Lift the head and take it to the sheet's centre."""
         self._begin_act()
+        self._head.lower_hover(0.0)
         self._head.travel(0.0, 0.0)
 
     def find_surface(self, x_mm: float, y_mm: float) -> float:
@@ -151,6 +152,14 @@ class SimulatedBench(HeadDriver):
         return self._head.find_surface(
             lambda window_s: float(self.samples_since(self._clock.now() - window_s).values.mean())
         )
+
+    def expect_surface(self, x_mm: float, y_mm: float, depth_mm: float) -> None:
+        """Take the surface at a place as this far below the hover height."""
+        self._head.expect_surface(x_mm, y_mm, depth_mm)
+
+    def lower_hover(self, by_mm: float) -> None:
+        """Travel this far below the hover height from now on."""
+        self._head.lower_hover(by_mm)
 
     def move_to(self, x_mm: float, y_mm: float) -> None:
         self._check_place(x_mm, y_mm)

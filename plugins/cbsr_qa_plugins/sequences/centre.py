@@ -17,6 +17,7 @@ from cbsr_qa.plugin import (
     Array,
     Hold,
     Load,
+    LowerHover,
     PluginOptions,
     Press,
     Release,
@@ -41,6 +42,9 @@ class NoiseFigureSequence(WithOptions):
     trials : how often the press is repeated.
     recovery_s : rest after each press.
     find_surface : whether the centre's surface is found first.
+    clearance_mm : height above the sheet at which the head travels; by default the hover height.
+    drift : the first rest ends when readings drift by less than this share of a frame's noise.
+    least_rest_s : shortest such rest; ``rest_s`` is the longest.
 
     """
 
@@ -52,15 +56,20 @@ class NoiseFigureSequence(WithOptions):
         trials: parts.Times = 3
         recovery_s: parts.Rest = 60.0
         find_surface: bool = True
+        clearance_mm: parts.Clearance = None
+        drift: parts.Drift = None
+        least_rest_s: parts.Rest = 30.0
 
     role = Role.NOISE
     options: Options
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options, (x_mm, y_mm) = self.options, NINE_LOCATIONS_MM[0]
+        if options.clearance_mm is not None:
+            yield LowerHover(options.clearance_mm)
         if options.find_surface:
             yield from parts.find_surfaces([(x_mm, y_mm)])
-        yield from parts.take_unloaded_frames(options.rest_s, options.frames)
+        yield from parts.take_unloaded_frames(options.rest_s, options.frames, options.drift, options.least_rest_s)
         for trial in range(options.trials):
             load = Load("L0", x_mm, y_mm, options.strain_percent / 100, trial)
             yield from parts.press_cycle(load, hold_s=options.hold_s, rest_s=options.recovery_s)
@@ -101,7 +110,7 @@ class RelaxationSequence(WithOptions):
         strain = options.strain_percent / 100
         label = f"L{NINE_LOCATIONS_MM.index(place_mm)}" if place_mm in NINE_LOCATIONS_MM else "X0"
         loads = [Load(label, *place_mm, strain, trial) for trial in range(options.trials)]
-        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s, context=context)
 
 
 class PreconditioningSequence(WithOptions):

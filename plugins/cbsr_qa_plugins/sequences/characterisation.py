@@ -53,7 +53,7 @@ class CharacterisationSequence(WithOptions):
             for number in self._numbers(context.seed)
             for cycle in range(options.cycles)
         ]
-        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s, context=context)
 
     def _numbers(self, seed: int) -> list[int]:
         """Strains by number, in the order they are pressed."""

@@ -43,10 +43,20 @@ class LocationGridSequence(WithOptions):
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every location first.
     unloaded_frames : number of unloaded frames before the first press.
+    unloaded_before : whether an earlier phase took them: four are enough then.
+    surface : ``"plane"`` finds it at three places; where a press meets the sheet off their plane, it is found again
+        and the press repeated after another rest.
+    touches_mm : places of the plane; by default the three that span the largest triangle.
+    surface_tolerance_mm : largest distance from the plane of a fourth touch, and of a contact.
+    clearance_mm : height above the sheet at which the head travels; by default the hover height.
+    residue_percent : rests end when the predicted residue at the next place is below this share of its change.
+    least_rest_s : shortest such rest; ``rest_s`` is the longest.
+    drift : the first rest ends when readings drift by less than this share of a frame's noise.
+    least_initial_rest_s : shortest such rest.
 
     """
 
-    class Options(parts.RestedOptions):
+    class Options(parts.QuickOptions):
         strains_percent: Annotated[parts.Strains, parts.once("trials")] = (20.0,)
         trials: parts.Times = 1
         hold_s: parts.Held = 60.0
@@ -65,7 +75,7 @@ class LocationGridSequence(WithOptions):
             for trial in range(options.trials)
             for number, (x_mm, y_mm) in enumerate(options.locations_mm)
         ]
-        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s, context=context)
 
 
 _PLACE_FORMS: Final = "a table of strain_percent with x_mm and y_mm, or with radius_mm and angle_deg"
@@ -128,7 +138,7 @@ class GivenLoadsSequence(WithOptions):
             for trial in range(options.trials)
             for number, load in enumerate(options.loads)
         ]
-        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s, context=context)
 
 
 Radius = Annotated[float, Field(ge=0, le=1e3)]
@@ -155,11 +165,21 @@ class RandomLoadsSequence(WithOptions):
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every place first.
     unloaded_frames : number of unloaded frames before the first press.
+    unloaded_before : whether an earlier phase took them: four are enough then.
     stream : name of the random stream; two phases of one recipe draw different loads under different names.
+    surface : ``"plane"`` finds it at three places; where a press meets the sheet off their plane, it is found again
+        and the press repeated after another rest.
+    touches_mm : places of the plane; by default the three that span the largest triangle.
+    surface_tolerance_mm : largest distance from the plane of a fourth touch, and of a contact.
+    clearance_mm : height above the sheet at which the head travels; by default the hover height.
+    residue_percent : rests end when the predicted residue at the next place is below this share of its change.
+    least_rest_s : shortest such rest; ``rest_s`` is the longest.
+    drift : the first rest ends when readings drift by less than this share of a frame's noise.
+    least_initial_rest_s : shortest such rest.
 
     """
 
-    class Options(parts.RestedOptions):
+    class Options(parts.QuickOptions):
         count: Annotated[int, Field(ge=1, le=10_000)] = 10
         radius_mm: Annotated[tuple[Radius, Radius], Array, parts.Rising] = (0.0, 40.0)
         strain_percent: Annotated[tuple[parts.Strain, parts.Strain], Array, parts.Rising] = (5.0, 30.0)
@@ -177,7 +197,7 @@ class RandomLoadsSequence(WithOptions):
         generator = np.random.Generator(np.random.Philox(key=int.from_bytes(digest[:16], "big")))
         draws = generator.random((options.count, 3))
         loads = tuple(self._draw_load(number, *map(float, draw)) for number, draw in enumerate(draws))
-        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s)
+        yield from parts.presses(options, loads, hold_s=options.hold_s, rest_s=options.rest_s, context=context)
 
     def _draw_load(self, number: int, radius_draw: float, angle_draw: float, strain_draw: float) -> Load:
         """Return a load of three random numbers, each from 0 to 1."""

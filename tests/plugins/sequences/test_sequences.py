@@ -1,6 +1,7 @@
 """Sequences: the same steps each time, unloaded frames before every load, options refused with what is allowed."""
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,7 +9,19 @@ from hypothesis import given, strategies as st
 from scipy.stats import chisquare
 
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, Role, StrainStep
+from cbsr_qa.domain.plan.steps import (
+    AcquireFrames,
+    FindSurface,
+    Hold,
+    LowerHover,
+    MarkUnloaded,
+    Press,
+    Release,
+    Role,
+    Settle,
+    StrainStep,
+    TouchPlane,
+)
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
 from cbsr_qa.testing.bench import example_plan
 from cbsr_qa_plugins.sequences.centre import (
@@ -17,6 +30,7 @@ from cbsr_qa_plugins.sequences.centre import (
     PreconditioningSequence,
     RelaxationSequence,
 )
+from cbsr_qa_plugins.sequences.parts import plan_rests_s, predict_residue
 from cbsr_qa_plugins.sequences.places import LocationGridSequence, RandomLoadsSequence
 
 ALL = (NoiseFigureSequence, LocationGridSequence, RandomLoadsSequence, RelaxationSequence)
@@ -221,3 +235,83 @@ def test_a_strain_that_was_meant_as_a_fraction_is_told_in_per_cent():
     with pytest.raises(ConfigError, match=r"strains_percent\[1\] is 0\.2") as refused:
         LocationGridSequence(strains_percent=[0.2])
     assert refused.value.remedy == "it must be a number from 1 to 60, in per cent: write 20 for the fraction 0.2"
+
+
+# --- less time per press ---------------------------------------------------------------------------------
+
+
+def test_by_default_every_place_is_found_and_every_rest_is_fixed():
+    steps = steps_of(LocationGridSequence(rest_s=40.0))
+    assert {type(step) for step in steps} == {FindSurface, Hold, MarkUnloaded, AcquireFrames, Press, Release}
+    assert {step.hold_s for step in steps if isinstance(step, Hold)} == {240.0, 60.0, 40.0}
+
+
+@pytest.mark.parametrize(
+    ("options", "places"),
+    [
+        ({"locations_mm": NINE_LOCATIONS_MM}, {(30.0, 0.0), (-30.0, 0.0), (0.0, 30.0), (0.0, -30.0)}),
+        ({"locations_mm": [(0, 0), (30, 0), (0, 30), (5, 5)]}, {(0, 0), (30, 0), (0, 30)}),
+        ({"touches_mm": [(1, 2), (20, 2), (3, 30)]}, {(1, 2), (20, 2), (3, 30)}),
+    ],
+)
+def test_a_plane_is_touched_at_three_places_far_apart(options, places):
+    touches = [
+        step for step in steps_of(LocationGridSequence(surface="plane", **options)) if type(step) is TouchPlane
+    ]
+    assert len(touches) == 3
+    assert {(touch.x_mm, touch.y_mm) for touch in touches} <= places
+
+
+def test_where_an_earlier_phase_took_the_unloaded_frames_four_are_enough():
+    steps = steps_of(LocationGridSequence(unloaded_before=True))
+    assert [step.count for step in steps if isinstance(step, AcquireFrames)] == [4]
+
+
+@pytest.mark.parametrize("places", [[(0, 0)], [(0, 0), (20, 0)], [(0, 0), (20, 0.1), (30, 0)]])
+def test_places_in_a_line_span_no_plane(places):
+    with pytest.raises(ConfigError, match="do not span a plane"):
+        steps_of(LocationGridSequence(surface="plane", locations_mm=places))
+
+
+@given(
+    share=st.floats(0.1, 20),
+    least_s=st.floats(0, 20),
+    seed=st.integers(0, 100),
+)
+def test_rests_are_the_shortest_after_which_the_predicted_residue_is_small(share, least_s, seed):
+    context = example_plan([], seed=seed).context
+    loads = loads_of(RandomLoadsSequence(count=6), seed)
+    rests_s = plan_rests_s(loads, context, share=share / 100, hold_s=15.0, least_s=least_s, most_s=90.0)
+    assert rests_s[-1] == 90.0
+    for number, following in enumerate(loads[1:]):
+        released = loads[: number + 1]
+
+        def residue(rest_s, number=number, released=released, following=following):
+            ages_s = [sum(15.0 + rest for rest in rests_s[k:number]) + rest_s for k in range(number + 1)]
+            return predict_residue(released, ages_s, following, context) / following.strain
+
+        rest_s = rests_s[number]
+        assert least_s <= rest_s <= 90.0
+        assert residue(rest_s) <= share / 100 or rest_s == 90.0
+        assert rest_s == least_s or residue(rest_s - 1.0 - 1e-9) > share / 100
+
+
+def test_a_residue_at_the_place_itself_is_that_of_the_material():
+    context = example_plan([]).context
+    load = Load("L0", 0.0, 0.0, 0.2, 0)
+    assert predict_residue([load], [0.0], load, context) == pytest.approx(0.2 * 0.82)
+    assert predict_residue([load], [25.4 * 3], load, context) == pytest.approx(0.2 * 0.62 * math.exp(-3), rel=1e-6)
+    far = Load("L1", 40.0, 0.0, 0.2, 0)
+    assert predict_residue([load], [5.0], far, context) < 0.002 * 0.2
+
+
+def test_rests_by_residue_need_the_material():
+    context = replace(example_plan([]).context, material=None)
+    with pytest.raises(ConfigError, match="material's relaxation"):
+        list(LocationGridSequence(residue_percent=1.0).steps(context))
+
+
+def test_the_noise_figure_may_rest_until_the_sheet_is_stable_and_travel_low():
+    steps = steps_of(NoiseFigureSequence(drift=0.25, least_rest_s=20.0, clearance_mm=2.0))
+    assert steps[0] == LowerHover(2.0)
+    assert [step for step in steps if isinstance(step, Settle)] == [Settle(240.0, True, 20.0, 0.25)]

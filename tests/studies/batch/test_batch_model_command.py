@@ -11,13 +11,14 @@ from batches import draw_batch, draw_field, draw_map, place_sunflower, press
 from filled_databases import filled
 from stored_lots import store_run
 
+from cbsr_qa.app.run.batch_model import read_model_file
+from cbsr_qa.calibration.batch.kept import make_prior
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.batch import study
-from cbsr_qa.studies.batch.file import make_prior, read_model
 from cbsr_qa.studies.batch.sensors import StoredSensor
 
 PASSED = Verdict(Outcome.PASS, "in the test")
@@ -184,7 +185,7 @@ def test_page_and_file_are_written_and_the_file_is_the_model(database, observed,
     text = page.read_text()
     assert "<svg" in text
     assert "How to read this page" in text
-    kept = read_model(file)
+    kept = read_model_file(file)
     assert kept.digest == found["digest"]
     mean, variance = make_prior(kept).predict(np.zeros((1, 2)))
     assert np.isfinite(mean).all()
@@ -194,7 +195,7 @@ def test_page_and_file_are_written_and_the_file_is_the_model(database, observed,
     content["sensors"][0]["log_response"][0] += 0.1
     changed.write_text(json.dumps(content))
     with pytest.raises(RefusedError, match="was changed"):
-        read_model(changed)
+        read_model_file(changed)
 
 
 def test_a_file_is_never_written_over(database, observed, refused, tmp_path):

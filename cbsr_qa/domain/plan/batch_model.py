@@ -1,4 +1,4 @@
-"""A batch's model as it is kept: the runs it rests on with their loads, and its hyperparameters."""
+"""A batch's model as it is kept: the runs it rests on with their loads, its hyperparameters, and how loads relax."""
 
 from dataclasses import dataclass
 
@@ -39,15 +39,49 @@ class KeptMember:
 
 
 @dataclass(frozen=True, slots=True)
+class KeptKernel:
+    """Relaxation of the batch's loads; fields as in :class:`~cbsr_qa.domain.results.relaxation.RelaxationKernel`."""
+
+    loading: bool
+    weights: tuple[float, ...]
+    time_constants_s: tuple[float, ...]
+    covariance: tuple[tuple[float, ...], ...]
+    scatter: tuple[float, ...]
+    scatter_freedom: float
+    loads: int
+    start_s: float
+
+
+@dataclass(frozen=True, slots=True)
+class KeptRelaxation:
+    """How loads of the batch relax, from the longest holds of its runs.
+
+    Parameters
+    ----------
+    hold_s, steady_s : how long these were held, and the time after the press at which they were evaluated.
+    strength, stress : kernels of the conductance under the head, and of the force.
+    unloading : kernel of the conductance after a release; None if it was not determined.
+    """
+
+    hold_s: float
+    steady_s: float
+    strength: KeptKernel
+    stress: KeptKernel
+    unloading: KeptKernel | None = None
+
+
+@dataclass(frozen=True, slots=True)
 class KeptBatch:
     """A batch's model.
 
     Parameters
     ----------
-    layout : version of the file's layout.
+    layout : version of the document's layout.
     digest : SHA-256 of the method, the runs and their chains.
     content_sha256 : SHA-256 of everything else in canonical JSON.
     head_mm, radius_mm : diameter of the head, and radius of the sheet.
+    level_drift : change of the level of the response from one sensor to the next, relative; 0 where none is shown.
+    relaxation : None where the runs have no long holds that determine it.
     """
 
     layout: int
@@ -60,3 +94,5 @@ class KeptBatch:
     radius_mm: float
     sensors: tuple[KeptSensor, ...]
     members: tuple[KeptMember, ...]
+    level_drift: float = 0.0
+    relaxation: KeptRelaxation | None = None
