@@ -3,9 +3,9 @@
 ``python -m benchmarks.batch_maps --batches 20 --sensors 5`` draws batches of N earlier sensors of 16 presses, and
 new sensors of 4, 9 and 16 presses; maps vary by 20 %, a press scatters by 1.1 %. Prints, by kind of map, ρ, N and
 presses: the error of the new sensor's response with the batch and without (root mean square over the area, %), their
-ratio with its standard error, in pairs by batch; the coverage of intervals of 68 and 95 % with the batch and without;
-the share of sensors of the batch, and of another one, that are named as unlike. A sensor that is named counts as one
-without a batch.
+ratio with its standard error, in pairs by batch; the share of further presses within intervals of 68 and 95 %, with
+the batch and without; the share of sensors of the batch, and of another one, that are named as unlike. A sensor that
+is named counts as one without a batch.
 """
 
 import os
@@ -121,7 +121,9 @@ def measure(family: str, rho: float, earlier: int, batches: int, sensors: int) -
             places_mm = place_sunflower(count)
             rows[count].append(
                 [
-                    _compare(prior, one, other.press(random, places_mm), one.press(random, places_mm), there_mm)
+                    _compare(
+                        random, prior, one, other.press(random, places_mm), one.press(random, places_mm), there_mm
+                    )
                     for one, other in zip(new, strange, strict=True)
                 ]
             )
@@ -129,14 +131,20 @@ def measure(family: str, rho: float, earlier: int, batches: int, sensors: int) -
 
 
 def _compare(
-    prior: BatchPrior, sensor: Sensor, strange: SensorLoads, loads: SensorLoads, there_mm: Array
+    random: np.random.Generator,
+    prior: BatchPrior,
+    sensor: Sensor,
+    strange: SensorLoads,
+    loads: SensorLoads,
+    there_mm: Array,
 ) -> tuple[float, ...]:
-    truth, values = sensor.response(there_mm), []
+    further, values = sensor.press(random, there_mm).log_response, []
+    truth = sensor.response(there_mm)
     unlike = prior.test_likeness(loads).p_value < UNLIKE
-    alone = learn_response(loads.places_mm, loads.log_response, loads.variance, radius_mm=RADIUS_MM).predict(there_mm)
-    together = alone if unlike else prior.learn_response(loads).predict(there_mm)
-    for mean, variance in (together, alone):
-        off = np.abs(mean - truth) / np.sqrt(variance)
+    alone = learn_response(loads.places_mm, loads.log_response, loads.variance, radius_mm=RADIUS_MM)
+    for learned in (alone if unlike else prior.learn_response(loads), alone):
+        mean, variance = learned.predict(there_mm)
+        off = np.abs(mean - further) / np.sqrt(variance + learned.scatter**2 + _NOISE**2)
         values.append((float(np.mean((mean - truth) ** 2)), float(np.mean(off < 1)), float(np.mean(off < 1.96))))
     (squared, *inside), (squared_alone, *inside_alone) = values
     strange_is_named = prior.test_likeness(strange).p_value < UNLIKE

@@ -10,11 +10,12 @@ from cbsr_qa.calibration.batch.likelihood import BatchLikelihood
 from cbsr_qa.calibration.batch.loads import BatchLoads
 from cbsr_qa.calibration.batch.model import BatchModel, thin
 from cbsr_qa.calibration.batch.posterior import Posterior, find_posterior
-from cbsr_qa.calibration.batch.prior import BatchMap, BatchPrior, Likeness
+from cbsr_qa.calibration.batch.prior import DRAWS, BatchMap, BatchPrior, Likeness
 from cbsr_qa.domain.numbers import Array
 
-#: Members of a prior by the others.
+#: Members of a prior by the others, and draws of a test for each sensor of the batch.
 _MEMBERS: Final = 64
+_DRAWS_PER_SENSOR: Final = 40
 #: Effective share of the batch's hyperparameters below which those of the others are found anew: a sensor so unlike
 #: the others has changed what all look like.
 _FEW: Final = 0.05
@@ -32,6 +33,7 @@ def leave_each_out(
     count : called with the number of sensors done, and of all.
     """
     sensors = model.loads.sensors
+    draws = max(DRAWS, _DRAWS_PER_SENSOR * len(sensors) - 1)  # p values that are adjusted for all sensors
     together = BatchLikelihood(model.loads).compute(model.posterior.choices)
     for number, sensor in enumerate(sensors):
         others = BatchLikelihood(BatchLoads(sensors[:number] + sensors[number + 1 :]))
@@ -40,7 +42,7 @@ def leave_each_out(
             posterior = find_posterior(others, model.radius_mm)
         prior = BatchPrior(others, *thin(posterior, _MEMBERS))
         count(number + 1, len(sensors))
-        yield prior.test_likeness(sensor), prior.learn_response(sensor)
+        yield prior.test_likeness(sensor, draws), prior.learn_response(sensor)
 
 
 def _reweigh(posterior: Posterior, others: BatchLikelihood, together: Array) -> Posterior:

@@ -13,7 +13,7 @@ from cbsr_qa.calibration.batch.posterior import Posterior, find_posterior
 from cbsr_qa.calibration.batch.prior import BatchPrior
 
 #: Number of members that a prior is made of.
-_MEMBERS: Final = 200
+_MEMBERS: Final = 100
 #: Number of places at which the density of ζ is integrated, and the probability of the interval.
 _FINE: Final = 4001
 _PROBABILITY: Final = 0.95

@@ -19,7 +19,8 @@ from cbsr_qa.domain.numbers import Array, Indices
 
 #: Correlation lengths over the sheet's radius.
 _LENGTHS: Final = np.geomspace(0.16, 1.4, 15)
-_SCATTERS: Final = np.concatenate([[0.0], 0.0025 * 2.0 ** np.arange(6)])
+#: Relative scatters of single loads. A larger one takes short variation of the map for scatter.
+_SCATTERS: Final = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04])
 _LEVELS: Final = np.concatenate([[0.0], 0.005 * 2.0 ** np.arange(7)])
 #: Least and largest deviation of single maps, and largest of maps altogether. The least is far below the
 #: repeatability of any press: such sensors are identical.

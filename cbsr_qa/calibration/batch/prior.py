@@ -20,7 +20,7 @@ _NEGLIGIBLE: Final = 1e-5
 #: Deviation of the level of a sensor that is not of the batch. Chosen by us.
 _STRANGE_LEVEL: Final = 0.5
 #: Number of draws of a test, and what they are seeded with.
-_DRAWS: Final = 1999
+DRAWS: Final = 999
 _SEED: Final = 52
 
 
@@ -214,23 +214,27 @@ class BatchPrior:
                 kept.append(_Conditioned(family, part.root[which], part.expected[which], part.surprise[which]))
         return BatchMap(self.places_mm, loads, tuple(kept))
 
-    def test_likeness(self, loads: SensorLoads) -> Likeness:
+    def test_likeness(self, loads: SensorLoads, draws: int = DRAWS) -> Likeness:
         """Test whether a sensor is of the batch, against one that shares only how its map varies.
 
         By Neyman and Pearson's lemma no test of this size finds more of those; its distribution is drawn.
+
+        Parameters
+        ----------
+        draws : number; no p value is below 1/(draws + 1).
         """
         like = [_condition(family, self.places_mm, loads) for family in self._families]
         strange = [_condition(family.of_stranger(), self.places_mm, loads) for family in self._families]
-        values = np.column_stack([loads.log_response, self._draw_loads(like)])
+        values = np.column_stack([loads.log_response, self._draw_loads(like, draws)])
         evidence = _weigh_evidence(like, values) - _weigh_evidence(strange, values)
         further = np.count_nonzero(evidence[1:] <= evidence[0])
         return Likeness((further + 1) / len(evidence), float(evidence[0]))
 
-    def _draw_loads(self, parts: Sequence["_Conditioned"]) -> Array:
+    def _draw_loads(self, parts: Sequence[_Conditioned], draws: int) -> Array:
         """Draw values of loads (n, draws) of further sensors of the batch."""
         random = np.random.default_rng([_SEED, len(self.places_mm), parts[0].root.shape[1]])
         weights = np.concatenate([part.family.weights for part in parts])
-        counts = np.split(random.multinomial(_DRAWS, weights), np.cumsum([len(part.root) for part in parts])[:-1])
+        counts = np.split(random.multinomial(draws, weights), np.cumsum([len(part.root) for part in parts])[:-1])
         drawn = [
             mean[:, None] + root @ random.standard_normal((len(root), count))
             for part, of_part in zip(parts, counts, strict=True)
