@@ -7,8 +7,9 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from cbsr_qa.analysis.recording.table_files import TableForm
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file, analyse_frames
+from cbsr_qa.app.analyse.analyse import analyse_file, analyse_frames
 from cbsr_qa.app.analyse.outcome import Analysed, analyse_outcome
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.config.loader import load_scanned_type
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.readings.frames import Recording, ScanKind

@@ -340,10 +340,10 @@ def split_presses(
 ) -> tuple[tuple[ScheduledStep, ...], dict[int, tuple[ScheduledStep, ...]]]:
     """Return the steps before the first press, and those of each press by its load.
 
-    A press begins with the surface finding right before it, if there is one.
+    A press begins with the surface finding of its place right before it, if there is one.
     """
     starts = [
-        number - (number > 0 and isinstance(steps[number - 1].step, FindSurface))
+        number - (number > 0 and type(steps[number - 1].step) is FindSurface)
         for number, scheduled in enumerate(steps)
         if isinstance(scheduled.step, Press)
     ]

@@ -8,13 +8,15 @@ from typing import TYPE_CHECKING, Annotated, Final
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, PageOutput, list_given_options, option_names
+from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, list_given_options, option_names, to_day
 from cbsr_qa.cli.output import Counting, check_page, note, show
 from cbsr_qa.domain.errors import RefusedError
 
 if TYPE_CHECKING:
     from cbsr_qa.analysis.recording.press_files import PressFiles
+    from cbsr_qa.domain.results.fleet import RunSelection
     from cbsr_qa.domain.results.report import CommandOutcome
+    from cbsr_qa.studies.frontier.recommend import Target
     from cbsr_qa.studies.frontier.study import Frontier
 
 _CLOCKS: Final = {
@@ -28,6 +30,9 @@ _MILLIMETRES: Final = {"mm": 1.0, "um": 1e-3, "µm": 1e-3, "cm": 10.0}
 #: Options of the simulated sweep, and of recorded presses.
 _SIMULATED: Final = frozenset({"clock", "force_error", "budget", "fresh", "recipe", "png"})
 _RECORDED: Final = frozenset({"presses", "pattern", "sensor_type", "differences", "rest", "row_shift", "place_error"})
+#: Options of stored runs, and those of the others that are not for them.
+_STORED: Final = frozenset({"of_recipe", "batch", "since", "until", "database"})
+_NOT_STORED: Final = _RECORDED | {"recording", "clock", "quick", "png"}
 
 
 @command("frontier", prints="cbsr_qa.studies.frontier.study:Frontier")
@@ -83,6 +88,16 @@ def frontier(
             metavar="2mm", help="With --recording: recommend the fewest presses with at most this error of place."
         ),
     ] = None,
+    stored: Annotated[
+        bool, typer.Option("--stored", help="Stored runs of your own in place of simulations, one of each sensor.")
+    ] = False,
+    of_recipe: Annotated[
+        str | None, typer.Option(metavar="NAME", help="With --stored: runs of the recipe of this name.")
+    ] = None,
+    batch: Annotated[str | None, typer.Option(help="With --stored: runs of this batch.")] = None,
+    since: Since = None,
+    until: Until = None,
+    database: Database = None,
     as_json: AsJson = False,
 ) -> None:
     """Sweep settings of computer and station, and show how much time each accuracy costs.
@@ -90,8 +105,23 @@ def frontier(
     Finished parts are kept: a sweep that was stopped goes on where it was.
 
     With --recording, learn from growing numbers of your own presses, and say how many an accuracy needs.
+
+    With --stored, say what fewer places and shorter holds would have cost in stored runs, and which recipe follows.
     """
     given = list_given_options(context)
+    if stored:
+        from cbsr_qa.domain.results.fleet import RunSelection
+
+        _refuse(given & _NOT_STORED, "is not for --stored")
+        check_page(output)
+        selection = RunSelection(recipe=of_recipe, batch=batch, since=to_day(since), until=to_day(until))
+        show(
+            _study_stored(selection, force_error, budget, database, recipe, fresh=fresh),
+            output=output,
+            as_json=as_json,
+        )
+        return
+    _refuse(given & _STORED, "is for stored runs, and --stored is missing")
     if recording is not None:
         _refuse(given & _SIMULATED, "is not for --recording but for the simulated sweep")
         target_mm = _amount("--place-error", place_error, _MILLIMETRES, "a distance above 0 with its unit, e.g. 2mm")
@@ -108,14 +138,10 @@ def frontier(
     from cbsr_qa.studies.frontier.figures import write_png
     from cbsr_qa.studies.frontier.files import Files
     from cbsr_qa.studies.frontier.point import TimeBasis
-    from cbsr_qa.studies.frontier.recommend import Target
     from cbsr_qa.studies.frontier.report import lay_out_frontier
     from cbsr_qa.studies.frontier.study import frontier as sweep
 
-    target = Target(
-        _amount("--force-error", force_error, _NEWTONS, "a force above 0 with its unit, e.g. 0.5N or 80mN"),
-        _amount("--budget", budget, _SECONDS, "a time above 0 with its unit, e.g. 20min, 1.5h or 900s"),
-    )
+    target = _read_target(force_error, budget)
     if clock not in _CLOCKS:
         raise RefusedError(f"--clock is {clock!r}", remedy=f"give one of {', '.join(_CLOCKS)}")
     replaced = recipe is not None and recipe.exists()
@@ -135,6 +161,41 @@ def frontier(
         write_png(swept.points, swept.recommended, png)
         note(f"picture      {png}")
     show(lay_out_frontier(swept), output=output, as_json=as_json)
+
+
+def _read_target(force_error: str | None, budget: str | None) -> "Target":
+    from cbsr_qa.studies.frontier.recommend import Target
+
+    return Target(
+        _amount("--force-error", force_error, _NEWTONS, "a force above 0 with its unit, e.g. 0.5N or 80mN"),
+        _amount("--budget", budget, _SECONDS, "a time above 0 with its unit, e.g. 20min, 1.5h or 900s"),
+    )
+
+
+def _study_stored(
+    selection: "RunSelection",
+    force_error: str | None,
+    budget: str | None,
+    database: str | None,
+    recipe: Path | None,
+    *,
+    fresh: bool,
+) -> "CommandOutcome[Frontier]":
+    from cbsr_qa.studies.frontier.stored.report import lay_out_stored
+    from cbsr_qa.studies.frontier.stored.study import study_stored
+
+    target = _read_target(force_error, budget)
+    with Counting("stored runs") as counting:
+        counting.stage("what accuracy costs in stored runs")
+        frontier = study_stored(
+            selection,
+            target,
+            database=database,
+            recipe=recipe,
+            fresh=fresh,
+            tell=lambda done, of, _: counting.count(done, of),
+        )
+    return lay_out_stored(frontier)
 
 
 def _study_presses(files: "PressFiles", target_mm: float | None, *, quick: bool) -> "CommandOutcome[Frontier]":

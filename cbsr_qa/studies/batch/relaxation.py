@@ -14,6 +14,8 @@ from cbsr_qa.domain.plan.batch_model import KeptRelaxation
 
 def learn_relaxation(runs: Sequence[LongHolds]) -> KeptRelaxation | None:
     """Learn the kernels of a batch; None if the longest holds of its runs do not determine them."""
+    if not runs:
+        return None
     longest_s = max(run.hold_s for run in runs)
     of_longest = [run for run in runs if run.hold_s >= LONG * longest_s]
     rises, decays, forces = (

@@ -29,14 +29,14 @@ class StoredSensor:
     Parameters
     ----------
     loads : what its map is learned from.
-    holds : its longest holds.
     settling_s : settling times of its calibration, by signal and whether after a press.
+    holds : its longest holds; None where they are not known.
     """
 
     record: RunRecord
     loads: SensorLoads
-    holds: LongHolds
     settling_s: dict[tuple[str, bool], float]
+    holds: LongHolds | None = None
 
 
 def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
@@ -53,7 +53,7 @@ def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
     )
     observation = observe_run(record, method, recipe.analysis, over_time=False)
     loads = map_loads(observation, learn_without_tests(observation))
-    return StoredSensor(record, loads, long_holds(observation), _load_settling(store, record))
+    return StoredSensor(record, loads, _load_settling(store, record), long_holds(observation))
 
 
 def map_loads(run: RunObservation, force: RunForce) -> SensorLoads:

@@ -218,7 +218,7 @@ def study_batch(
         # Each part once: seeds differ from run to run.
         simulated=tuple(sorted({_SEED.sub("", part) for record in records for part in record.identity.simulated})),
         digest=digest_runs([(record.identity.run, record.chain_head) for record in records]),
-        relaxation=learn_relaxation([sensor.holds for sensor in sensors]),
+        relaxation=learn_relaxation([sensor.holds for sensor in sensors if sensor.holds is not None]),
         model=model,
         maps=maps,
         places_mm=places_mm,

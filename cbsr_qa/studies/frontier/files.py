@@ -2,10 +2,10 @@
 
 import errno
 import os
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 import cbsr_qa
 from cbsr_qa.config.text import toml_document
@@ -91,9 +91,7 @@ def write_recipe(recommended: Recommendation, path: Path) -> None:
     """
     if recommended.way is None or recommended.accuracy is None:
         raise RefusedError(f"there is no recipe to write: {recommended.why}")
-    check_recipe(path)
     name = path.stem[:64] or "frontier"
-    check_encodable("the recipe's name", name)
     force, minutes = recommended.accuracy["force_error"], (recommended.station_s or 0) / 60
     stderr = "" if force.stderr is None else f" ± {force.stderr:.3f}"
     comments = (
@@ -102,7 +100,17 @@ def write_recipe(recommended: Recommendation, path: Path) -> None:
         f" {minutes:.0f} min.",
         "A setting is as good as the simulation it was found in: check it on sensors of your own.",
     )
-    text = toml_document(recommended.way.recipe(name), comments)
+    write_document(path, recommended.way.recipe(name), comments)
+
+
+def write_document(path: Path, recipe: Mapping[str, Any], comments: Sequence[str]) -> None:
+    """Write a recipe with comments before it.
+
+    RefusedError if its name cannot be written, the file cannot be written, or this command did not write it.
+    """
+    check_recipe(path)
+    check_encodable("the recipe's name", recipe["recipe"]["name"])
+    text = toml_document(recipe, comments)
     with writing(path):
         path.parent.mkdir(parents=True, exist_ok=True)
         with write_atomically(path) as file:

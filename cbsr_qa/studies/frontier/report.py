@@ -35,6 +35,7 @@ _OF_COMPUTER: Final = (
 _NAMES: Final[Mapping[str, str]] = {
     "force_error": "force error, place known",
     "force_error_found": "force error, place found",
+    "force_error_change": "change of the force error",
     "map_error": "map",
     "gauge_factor_error": "gauge factor",
     "settling_error": "settling time",

@@ -4,7 +4,7 @@ Long runs are simulated once per seed; cheaper ways with fewer presses or shorte
 Other ways (shorter rests, other frame times) are simulated separately.
 """
 
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence, Set
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import Any, Final
@@ -235,8 +235,8 @@ def settled_after_s(record: RunRecord) -> float:
     return float(np.count_nonzero(times_s < start.unloaded_from_s)) * period_s
 
 
-def shorten_holds(record: RunRecord, hold_s: float) -> RunRecord:
-    """Return a run with the grid's holds cut to a shorter time."""
+def shorten_holds(record: RunRecord, hold_s: float, phases: Set[str] = frozenset({GRID})) -> RunRecord:
+    """Return a run with the holds of some phases, by default the grid's, cut to a shorter time."""
 
     def shorten_load(load: LoadRecord) -> LoadRecord:
         early_s = load.release_start_s - (load.hold_start_s + hold_s)
@@ -249,11 +249,11 @@ def shorten_holds(record: RunRecord, hold_s: float) -> RunRecord:
             clear_s=None if load.clear_s is None else load.clear_s - early_s,
         )
 
-    phases = tuple(
-        replace(phase, loads=tuple(map(shorten_load, phase.loads))) if phase.name == GRID else phase
+    shortened = tuple(
+        replace(phase, loads=tuple(map(shorten_load, phase.loads))) if phase.name in phases else phase
         for phase in record.phases
     )
-    return replace(record, phases=phases)
+    return replace(record, phases=shortened)
 
 
 def combine_trials(trials: Sequence[Tried], seconds: Callable[[Setting], float]) -> list[tuple[Setting, Point]]:

@@ -1,19 +1,30 @@
 """Presses of which the run decides one after the other, until the force of the calibration is good enough."""
 
 from collections.abc import Iterator
-from typing import Annotated, Final, Literal
+from typing import Annotated, Final
 
 import numpy as np
-from pydantic import Field
+from pydantic import AfterValidator, Field
 
-from cbsr_qa.plugin import Array, Hold, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
+from cbsr_qa.plugin import Array, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
 from cbsr_qa_plugins.sequences import parts
 from cbsr_qa_plugins.sequences.places import Radius
 
 #: None are given where the places are those of the lattice.
 Places = Annotated[tuple[Annotated[tuple[parts.Coordinate, parts.Coordinate], Array], ...], Array]
+#: Fewest presses of a map.
+_FEWEST: Final = 3
 #: Turns between neighbouring seeds of a sunflower.
 _GOLDEN: Final = 2 - (1 + 5**0.5) / 2
+
+
+def _check_frames(count: int) -> int:
+    if 0 < count < parts.UNLOADED_FRAMES:
+        raise ValueError(f"it must be 0, or {parts.UNLOADED_FRAMES} or more")
+    return count
+
+
+FramesOrNone = Annotated[int, Field(ge=0, le=100_000), AfterValidator(_check_frames)]
 
 
 def sunflower_mm(count: int, radius_mm: float) -> tuple[tuple[float, float], ...]:
@@ -48,15 +59,17 @@ class AdaptiveGridSequence(WithOptions):
     initial_rest_s : rest before the unloaded frames.
     find_surface : whether the surface is found at each place before it is pressed.
     unloaded_frames : number of unloaded frames before the first press; 0 where an earlier phase has taken them.
+    unloaded_before, surface, touches_mm, surface_tolerance_mm, clearance_mm, drift, least_initial_rest_s : as of
+        ``location-grid``.
 
     """
 
-    class Options(parts.RestedOptions):
-        unloaded_frames: parts.Frames | Literal[0] = parts.UNLOADED_FRAMES
+    class Options(parts.SurfaceOptions):
+        unloaded_frames: FramesOrNone = parts.UNLOADED_FRAMES
         target_N: Annotated[float, Field(gt=0, le=1e3)]
         confidence: Annotated[float, Field(ge=0.5, le=0.99)] = 0.8
-        at_least: Annotated[int, Field(ge=3, le=1000)] = 6
-        at_most: Annotated[int, Field(ge=3, le=1000)] = 24
+        at_least: Annotated[int, Field(ge=_FEWEST, le=1000)] = 6
+        at_most: Annotated[int, Field(ge=_FEWEST, le=1000)] = 24
         count: Annotated[int, Field(ge=1, le=1000)] = 30
         radius_mm: Radius = 40.0
         locations_mm: Annotated[Places, parts.once("nothing")] = ()
@@ -74,7 +87,12 @@ class AdaptiveGridSequence(WithOptions):
             """Presses are at least as many as must be, and at most as many as there are places."""
             if self.at_most < self.at_least:
                 yield Problem(("at_most",), f"is {self.at_most}", f"it must be at_least, {self.at_least} or more")
-            if self.at_most > (places := len(self.places_mm())):
+            if (places := len(self.places_mm())) < _FEWEST:
+                where = "locations_mm" if self.locations_mm else "count"
+                yield Problem(
+                    (where,), f"gives {places} places", f"it must give {_FEWEST} or more: fewer make no map"
+                )
+            elif self.at_most > places:
                 yield Problem(
                     ("at_most",), f"is {self.at_most}", f"it must be at most {places}, the number of places"
                 )
@@ -97,12 +115,11 @@ class AdaptiveGridSequence(WithOptions):
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         options = self.options
-        if options.unloaded_frames:
-            yield from parts.take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
-        elif options.initial_rest_s:
-            yield Hold(options.initial_rest_s, acquire=True)
+        by_plane = options.surface == "plane"
+        # Without a plane each surface is found when its place is pressed.
+        yield from parts.prepare_sheet(options, options.places_mm() if by_plane else ())
         for number, (x_mm, y_mm) in enumerate(options.places_mm()):
-            if options.find_surface:
+            if options.find_surface and not by_plane:
                 yield from parts.find_surfaces([(x_mm, y_mm)])
             load = Load(f"{options.label}{number}", x_mm, y_mm, options.strain_percent / 100, 0)
             yield from parts.press_cycle(load, hold_s=options.hold_s, rest_s=options.rest_s)

@@ -42,9 +42,9 @@ class NoiseFigureSequence(WithOptions):
     trials : how often the press is repeated.
     recovery_s : rest after each press.
     find_surface : whether the centre's surface is found first.
-    clearance_mm : height above the sheet at which the head travels; by default the hover height.
-    drift : the first rest ends when readings drift by less than this share of a frame's noise.
-    least_rest_s : shortest such rest; ``rest_s`` is the longest.
+    clearance_mm : travel height above the sheet; by default the hover height.
+    drift : of readings, in noise of a frame, at which the rest ends.
+    least_rest_s : shortest such rest.
 
     """
 

@@ -96,35 +96,52 @@ class RestedOptions(PluginOptions):
     unloaded_frames: Frames = UNLOADED_FRAMES
 
 
-class QuickOptions(RestedOptions):
-    """What may take less time per press: the surface, travel, and rests."""
+class ClearOptions(RestedOptions):
+    """Travel just clear of the sheet."""
 
     unloaded_before: bool = False
+    clearance_mm: Clearance = None
+
+
+class BriefOptions(ClearOptions):
+    """Rests that end by the predicted residue, besides."""
+
+    residue_percent: Annotated[float, Field(ge=0.01, le=100)] | None = None
+    least_rest_s: Rest = 5.0
+
+
+class SurfaceOptions(ClearOptions):
+    """The surface as a plane, and a first rest that ends when readings are stable, besides."""
+
     surface: Literal["each", "plane"] = "each"
     touches_mm: Touches = ()
     surface_tolerance_mm: Annotated[float, Field(ge=0.01, le=1)] = 0.1
-    clearance_mm: Clearance = None
-    residue_percent: Annotated[float, Field(ge=0.01, le=100)] | None = None
-    least_rest_s: Rest = 5.0
     drift: Drift = None
     least_initial_rest_s: Rest = 30.0
 
 
+class QuickOptions(BriefOptions, SurfaceOptions):
+    """All that may take less time per press."""
+
+
 def prepare_sheet(options: RestedOptions, places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
-    """Find the surfaces if requested, let the sheet rest, and take the unloaded frames."""
-    if not isinstance(options, QuickOptions):
-        if options.find_surface:
-            yield from find_surfaces(places_mm)
-        yield from take_unloaded_frames(options.initial_rest_s, options.unloaded_frames)
-        return
-    if options.clearance_mm is not None:
-        yield LowerHover(options.clearance_mm)
-    if options.find_surface and options.surface == "plane":
-        yield from touch_plane(options.touches_mm or spread_touches(list(places_mm)), options.surface_tolerance_mm)
+    """Find the surfaces if requested, let the sheet rest, and take the unloaded frames.
+
+    Without unloaded frames the rest before the first press takes frames.
+    """
+    clear = options if isinstance(options, ClearOptions) else ClearOptions()
+    surface = options if isinstance(options, SurfaceOptions) else SurfaceOptions()
+    if clear.clearance_mm is not None:
+        yield LowerHover(clear.clearance_mm)
+    if options.find_surface and surface.surface == "plane":
+        yield from touch_plane(surface.touches_mm or spread_touches(list(places_mm)), surface.surface_tolerance_mm)
     elif options.find_surface:
         yield from find_surfaces(places_mm)
-    frames = _FEW_FRAMES if options.unloaded_before else options.unloaded_frames
-    yield from take_unloaded_frames(options.initial_rest_s, frames, options.drift, options.least_initial_rest_s)
+    if options.unloaded_frames:
+        frames = _FEW_FRAMES if clear.unloaded_before else options.unloaded_frames
+        yield from take_unloaded_frames(options.initial_rest_s, frames, surface.drift, surface.least_initial_rest_s)
+    elif options.initial_rest_s:
+        yield Hold(options.initial_rest_s, acquire=True)
 
 
 def touch_plane(places_mm: Iterable[tuple[float, float]], tolerance_mm: float) -> Iterator[Step]:
@@ -194,7 +211,7 @@ def presses(
     """Prepare the sheet, then press all loads, one cycle each."""
     yield from prepare_sheet(options, ((load.x_mm, load.y_mm) for load in loads))
     rests_s = [rest_s] * len(loads)
-    if isinstance(options, QuickOptions) and options.residue_percent is not None:
+    if isinstance(options, BriefOptions) and options.residue_percent is not None:
         share = options.residue_percent / 100
         rests_s = plan_rests_s(
             loads, context, share=share, hold_s=hold_s, least_s=min(options.least_rest_s, rest_s), most_s=rest_s

@@ -43,15 +43,14 @@ class LocationGridSequence(WithOptions):
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every location first.
     unloaded_frames : number of unloaded frames before the first press.
-    unloaded_before : whether an earlier phase took them: four are enough then.
-    surface : ``"plane"`` finds it at three places; where a press meets the sheet off their plane, it is found again
-        and the press repeated after another rest.
-    touches_mm : places of the plane; by default the three that span the largest triangle.
-    surface_tolerance_mm : largest distance from the plane of a fourth touch, and of a contact.
-    clearance_mm : height above the sheet at which the head travels; by default the hover height.
-    residue_percent : rests end when the predicted residue at the next place is below this share of its change.
-    least_rest_s : shortest such rest; ``rest_s`` is the longest.
-    drift : the first rest ends when readings drift by less than this share of a frame's noise.
+    unloaded_before : an earlier phase took them: four are enough.
+    clearance_mm : travel height above the sheet; by default the hover height.
+    residue_percent : rests end at this predicted residue at the next place, of its change.
+    least_rest_s : shortest such rest.
+    surface : ``"plane"`` is found at three places only.
+    touches_mm : those places; by default far apart.
+    surface_tolerance_mm : of contacts and a fourth touch.
+    drift : of readings, in noise of a frame, at which the first rest ends.
     least_initial_rest_s : shortest such rest.
 
     """
@@ -165,21 +164,15 @@ class RandomLoadsSequence(WithOptions):
     initial_rest_s : rest after surface finding.
     find_surface : whether the surface is found at every place first.
     unloaded_frames : number of unloaded frames before the first press.
-    unloaded_before : whether an earlier phase took them: four are enough then.
+    unloaded_before : an earlier phase took them: four are enough.
     stream : name of the random stream; two phases of one recipe draw different loads under different names.
-    surface : ``"plane"`` finds it at three places; where a press meets the sheet off their plane, it is found again
-        and the press repeated after another rest.
-    touches_mm : places of the plane; by default the three that span the largest triangle.
-    surface_tolerance_mm : largest distance from the plane of a fourth touch, and of a contact.
-    clearance_mm : height above the sheet at which the head travels; by default the hover height.
-    residue_percent : rests end when the predicted residue at the next place is below this share of its change.
-    least_rest_s : shortest such rest; ``rest_s`` is the longest.
-    drift : the first rest ends when readings drift by less than this share of a frame's noise.
-    least_initial_rest_s : shortest such rest.
+    clearance_mm : travel height above the sheet; by default the hover height.
+    residue_percent : rests end at this predicted residue at the next place, of its change.
+    least_rest_s : shortest such rest.
 
     """
 
-    class Options(parts.QuickOptions):
+    class Options(parts.BriefOptions):
         count: Annotated[int, Field(ge=1, le=10_000)] = 10
         radius_mm: Annotated[tuple[Radius, Radius], Array, parts.Rising] = (0.0, 40.0)
         strain_percent: Annotated[tuple[parts.Strain, parts.Strain], Array, parts.Rising] = (5.0, 30.0)

@@ -1,0 +1,1 @@
+"""What fewer presses and shorter holds would have cost in stored runs."""
