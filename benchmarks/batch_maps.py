@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import stats
 
+from cbsr_qa.calibration.batch.learning import is_strange
 from cbsr_qa.calibration.batch.loads import SensorLoads
 from cbsr_qa.calibration.batch.model import learn_batch
 from cbsr_qa.calibration.batch.prior import BatchPrior
@@ -30,8 +31,6 @@ Array = NDArray[np.float64]
 Field = Callable[[Array], Array]
 RADIUS_MM, REACH_MM = 50.0, 40.0
 RHOS, EARLIER, PRESSES = (0.0, 0.5, 0.75, 0.9), (5, 10, 30), (4, 9, 16)
-#: p below which a sensor is not like its batch.
-UNLIKE = 0.05
 _DEVIATION, _NOISE, _SCATTER = float(np.sqrt(np.log1p(0.2**2))), 0.005, 0.01
 _WAVES = 400
 
@@ -140,14 +139,14 @@ def _compare(
 ) -> tuple[float, ...]:
     further, values = sensor.press(random, there_mm).log_response, []
     truth = sensor.response(there_mm)
-    unlike = prior.test_likeness(loads).p_value < UNLIKE
+    unlike = is_strange(prior.test_likeness(loads))
     alone = learn_response(loads.places_mm, loads.log_response, loads.variance, radius_mm=RADIUS_MM)
     for learned in (alone if unlike else prior.learn_response(loads), alone):
         mean, variance = learned.predict(there_mm)
         off = np.abs(mean - further) / np.sqrt(variance + learned.scatter**2 + _NOISE**2)
         values.append((float(np.mean((mean - truth) ** 2)), float(np.mean(off < 1)), float(np.mean(off < 1.96))))
     (squared, *inside), (squared_alone, *inside_alone) = values
-    strange_is_named = prior.test_likeness(strange).p_value < UNLIKE
+    strange_is_named = is_strange(prior.test_likeness(strange))
     return (squared, squared_alone, *inside, *inside_alone, float(unlike), float(strange_is_named))
 
 

@@ -21,6 +21,8 @@ from cbsr_qa.domain.numbers import Array, Indices
 
 #: Largest number of matrix elements that are held at once.
 _MOST_ELEMENTS: Final = 4_000_000
+#: Least eigenvalue of a matrix of weights, scaled to a unit diagonal, that is not rounding.
+_LEAST_VALUE: Final = 1e-15
 #: Number of kinds, lengths and scatters whose rows are held.
 _MOST_KINDS: Final = 128
 
@@ -108,12 +110,16 @@ class BatchLikelihood:
         """
         p, common = len(self.loads.places_mm), np.array([choice.common for choice in choices])[:, None, None]
         _, products = _gather(self._turn(*choices[0].kind, np.eye(p)), choices)
-        found = np.concatenate([products[:, :p, :p], products[:, :p, p + 1 :]], axis=2)
-        basis = self.loads.factor(choices[0].smooth, choices[0].length_mm)[1]
-        pushed = found[:, :, :p] @ basis
-        inner = np.eye(basis.shape[1]) + common**2 * basis.T @ pushed
-        found -= common**2 * pushed @ np.linalg.solve(inner, basis.T @ found)
-        return found[:, :, :-1], found[:, :, -1]
+        weight, pull = products[:, :p, :p], products[:, :p, p + 1]
+        # G = R (I + ω² Rᵀ K R)⁻¹ Rᵀ with R Rᵀ the loads' weight: nothing cancels where they say all there is to know.
+        size = np.sqrt(np.diagonal(weight, axis1=1, axis2=2))
+        values, vectors = np.linalg.eigh(weight / (size[:, :, None] * size[:, None, :]))
+        values = np.sqrt(np.maximum(values, _LEAST_VALUE))
+        root = size[:, :, None] * vectors * values[:, None, :]
+        seen = (np.swapaxes(vectors, 1, 2) @ (pull / size)[:, :, None]) / values[:, :, None]
+        inner = np.eye(p) + common**2 * np.swapaxes(root, 1, 2) @ self.loads.factor(*choices[0].kind[:2])[0] @ root
+        solved = root @ np.linalg.solve(inner, np.concatenate([np.swapaxes(root, 1, 2), seen], axis=2))
+        return solved[:, :, :-1], solved[:, :, -1]
 
     def _turn(self, smooth: bool, length_mm: float, scatter: float, basis: Array | None = None) -> _Rows:
         """Whiten and turn the rows of a basis (p, r) of the common map, L by default, at each sensor's places."""

@@ -67,7 +67,7 @@ def test_the_model_of_the_latest_run_counts(batches, configuration):
 )
 def test_a_model_that_does_not_fit_is_refused_before_anything_moves(batches, configuration, changes, batch, words):
     batches(keep_sample(**changes))
-    with pytest.raises(RefusedError, match="fits this run|not named") as refused:
+    with pytest.raises(RefusedError, match=r"fits this run|not named") as refused:
         add_prior(configuration, batch, None, DATABASE)
     assert words in refused.value.reason
 
