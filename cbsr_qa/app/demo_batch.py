@@ -14,7 +14,7 @@ from cbsr_qa.studies.frontier.setting import CHECK, GRID, Setting
 from cbsr_qa.studies.simulated import copy_shipped
 
 BATCH: Final = "41"
-SENSORS: Final = 6
+SENSORS: Final = 5
 #: Share of the variance of maps that two of the sensors have in common.
 RHO: Final = 0.9
 _EFFECTS: Final = (
@@ -67,8 +67,8 @@ def _describe_scene() -> dict[str, Any]:
 
 
 def _describe_recipe() -> dict[str, Any]:
-    """Sixteen places held briefly and two presses of a minute; only what a batch is learned from is measured."""
-    recipe = Setting(16, hold_s=15.0, rest_s=15.0, predicted=True).recipe("sixteen-places")
+    """Sixteen places held briefly and five random loads of a minute; only what a batch is learned from is measured."""
+    recipe = Setting(16, hold_s=15.0, rest_s=15.0, predicted=True, checks=5).recipe("sixteen-places")
     recipe["phases"] = [phase for phase in recipe["phases"] if phase["name"] in (GRID, CHECK)]
     recipe["phases"][0]["initial_rest_s"] = 240.0
     recipe["analysis"]["learn_place"] = False
