@@ -15,7 +15,8 @@ from benchmarks.timing import fastest, shown
 from cbsr_qa.analysis.recording.imaging import nominal_disc, sheet_for
 from cbsr_qa.analysis.recording.tank import fit_tank
 from cbsr_qa.analysis.run.sizes import size_response
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.app.analyse.analyse import analyse_file
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction
 from cbsr_qa.eit.inverse.greit import matrix as greit_matrix
 from cbsr_qa.eit.inverse.problem import imaging_problem

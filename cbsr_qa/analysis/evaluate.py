@@ -1,6 +1,6 @@
 """Evaluation of a stored run: observations, judged measurements, verdict, calibration."""
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from typing import Final
 
@@ -8,6 +8,7 @@ from cbsr_qa.analysis.answers import validate_answer
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.analysis.run.place import run_place
+from cbsr_qa.calibration.force.validity import batch_words
 from cbsr_qa.calibration.issue import issue_calibration
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError
 from cbsr_qa.domain.plan.analysis_settings import CharacterisationSettings
@@ -48,14 +49,22 @@ class Conclusion:
     characterisation: Characterisation | None = None
 
 
-def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: Stages) -> Conclusion:
+def evaluate_run(
+    record: RunRecord,
+    recipe: Recipe,
+    plugins: Plugins,
+    stages: Stages,
+    *,
+    standards: Sequence[ReferenceStandard] = (),
+) -> Conclusion:
     """Analyse and judge a stored run.
 
     Parameters
     ----------
-    record : record as loaded from the store; no other input.
+    record : record as loaded from the store.
     recipe : says how to image, what to measure and what is allowed.
     stages : progress and timing.
+    standards : reference standards that the run's station states, as stored with it.
 
     Returns
     -------
@@ -76,6 +85,7 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     try:
         with stages.stage("imaging"), come_back_once():
             observation = observe_run(record, reconstruction, recipe.analysis)
+            observation = replace(observation, standards=tuple(standards))
     except BaseException as error:  # noqa: BLE001 - a plugin may raise anything, and the run is stored
         remedy = error.remedy if isinstance(error, CbsrError) else ""
         return _empty_conclusion(f"the frames cannot be imaged: {failure(error)}", remedy)
@@ -85,7 +95,15 @@ def evaluate_run(record: RunRecord, recipe: Recipe, plugins: Plugins, stages: St
     if recipe.analysis.learn_place:
         with stages.stage("learning the place"):
             run_place(observation)
-    return Conclusion(observation, judged, decide(judged), (*observation.warnings, *failed_metrics))
+    warnings = (*observation.warnings, *_warn_unlike(observation), *failed_metrics)
+    return Conclusion(observation, judged, decide(judged), warnings)
+
+
+def _warn_unlike(run: RunObservation) -> Iterator[str]:
+    """Yield a warning if the sensor is not like the batch that its recipe takes as prior."""
+    learned = run_force(run).learned if run.settings.prior == "batch" else None
+    if learned is not None and learned.model.batch is not None and not learned.model.batch.alike:
+        yield batch_words(learned.model.batch)
 
 
 def _empty_conclusion(why: str, remedy: str = "") -> Conclusion:

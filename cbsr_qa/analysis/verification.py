@@ -1,6 +1,7 @@
 """Verification of a fielded sensor's calibration with a few short loads."""
 
-from dataclasses import dataclass
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
 from typing import Final
 
 import numpy as np
@@ -9,11 +10,13 @@ from cbsr_qa.analysis.defects.quality import off_the_line
 from cbsr_qa.analysis.run.loads import load_window
 from cbsr_qa.calibration.fits.relaxation import relaxation_curve
 from cbsr_qa.calibration.fits.steady_state import predict_steady
+from cbsr_qa.calibration.force.shared_error import SharedError
 from cbsr_qa.calibration.force.sheet_pose import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.calibration.force.template_matching import Matches
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.plan.standards import ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.domain.results.relaxation import FitStatus
@@ -30,7 +33,8 @@ class VerifiedLoad:
     Parameters
     ----------
     measured_N : by the load cell, extrapolated to the hold of the calibration.
-    estimated_N, stderr_N : by the calibration, from the hold so far.
+    estimated_N : by the calibration, from the hold so far.
+    stderr_N : standard error of their difference.
     """
 
     load: LoadObservation
@@ -49,6 +53,7 @@ class Verification:
     reference_change : change of the unloaded readings since the calibration, root mean square over that of the
         readings.
     noise_ratio : noise of a reading over that of the calibration.
+    error : what standard errors include, in words.
     """
 
     loads: tuple[VerifiedLoad, ...]
@@ -56,6 +61,7 @@ class Verification:
     sensitivity_stderr: float
     reference_change: float
     noise_ratio: float
+    error: str
 
 
 def verify_calibration(run: RunObservation, calibration: Calibration) -> Verification:
@@ -78,8 +84,44 @@ def verify_calibration(run: RunObservation, calibration: Calibration) -> Verific
         raise CalibrationError(
             "no load of the run was pressed alone, with its force recorded, where the calibration reaches"
         )
-    sensitivity, stderr = _sensitivity(loads)
-    return Verification(loads, sensitivity, stderr, reader.reference_change(), reader.noise_ratio())
+    shared_errors, words = compare_load_cells(calibration.issued.standards, run.standards)
+    sensitivity, stderr = _sensitivity(loads, shared_errors)
+    traced_loads = tuple(
+        replace(
+            load,
+            stderr_N=float(np.hypot(load.stderr_N, _add_squares(shared_errors, np.array([load.measured_N]))[0])),
+        )
+        for load in loads
+    )
+    return Verification(traced_loads, sensitivity, stderr, reader.reference_change(), reader.noise_ratio(), words)
+
+
+def compare_load_cells(
+    calibrated: Sequence[ReferenceStandard], measured: Sequence[ReferenceStandard]
+) -> tuple[tuple[SharedError, ...], str]:
+    """Return the errors of load cells that remain between a calibration's forces and a run's, and what is included.
+
+    If both state one certificate, the cell's error is in both forces and cancels. Otherwise two calibrations of load
+    cells are compared, and the errors of both remain, as far as they are stated.
+
+    Parameters
+    ----------
+    calibrated, measured : standards of the calibration, and of the run.
+    """
+    cells = {
+        whose: find_standard(standards, StandardRole.LOAD_CELL)
+        for whose, standards in (("calibration", calibrated), ("run", measured))
+    }
+    stated = {whose: cell for whose, cell in cells.items() if cell is not None}
+    certificates = {(cell.laboratory, cell.certificate, cell.date) for cell in stated.values()}
+    if len(stated) == len(cells) and len(certificates) == 1:
+        (_, certificate, _) = certificates.pop()
+        return (), f"scatter only; certificate {certificate} of the load cell is that of the calibration, it cancels"
+    parts = ["scatter", *(f"load cell of the {whose} ({cell.words()})" for whose, cell in stated.items())]
+    missing = " and of the ".join(whose for whose in cells if whose not in stated)
+    words = f"{' and '.join(parts)}{'' if stated else ' only'}"
+    shared_errors = tuple(SharedError((cell,)) for cell in stated.values())
+    return shared_errors, f"{words}; load cell of the {missing} not stated" if missing else words
 
 
 def _check(run: RunObservation, calibration: Calibration) -> None:
@@ -190,8 +232,11 @@ class _Reader:
         return float(np.mean(samples.values * np.median(ratios, axis=0)))
 
 
-def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:
-    """Slope through zero of estimated over measured force; its error is at least the scatter of the loads."""
+def _sensitivity(loads: tuple[VerifiedLoad, ...], shared_errors: Sequence[SharedError]) -> tuple[float, float]:
+    """Slope through zero of estimated over measured force, and its standard error.
+
+    That of scatter is at least the scatter of the loads; an error that all loads share moves the slope as a whole.
+    """
     measured = np.array([load.measured_N for load in loads])
     estimated = np.array([load.estimated_N for load in loads])
     weight = 1 / np.array([load.stderr_N for load in loads]) ** 2
@@ -199,4 +244,11 @@ def _sensitivity(loads: tuple[VerifiedLoad, ...]) -> tuple[float, float]:
     slope = float(weight @ (measured * estimated)) / information
     spare = len(loads) - 1
     misfit = float(weight @ (estimated - slope * measured) ** 2) / spare if spare else 1.0
-    return slope, float(np.sqrt(max(misfit, 1.0) / information))
+    shared = [float(weight @ (measured * error.stderr_N(measured))) / information for error in shared_errors]
+    return slope, float(np.sqrt(max(misfit, 1.0) / information + np.sum(np.square(shared))))
+
+
+def _add_squares(shared_errors: Sequence[SharedError], force_N: Array) -> Array:
+    """Standard error (n,) that independent shared errors give forces (n,) together [N]."""
+    variance = sum((error.stderr_N(force_N) ** 2 for error in shared_errors), np.zeros(len(force_N)))
+    return np.sqrt(variance)

@@ -72,8 +72,9 @@ def analyse(
 ) -> int:
     """Find faulty channels, noise and presses in recordings, without being told where or when."""
     from cbsr_qa.analysis.recording.table_files import TableForm
-    from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+    from cbsr_qa.app.analyse.analyse import analyse_file
     from cbsr_qa.app.analyse.outcome import AnalysedFiles, analyse_outcome
+    from cbsr_qa.app.analyse.request import AnalyseRequest
     from cbsr_qa.calibration.presses.frame_tables import ComplexPart
     from cbsr_qa.report.document import json_document
 

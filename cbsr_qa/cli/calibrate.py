@@ -53,6 +53,13 @@ def calibrate(
         int,
         typer.Option(help="Number of rows by which places stand below their readings; the ends are left out."),
     ] = 0,
+    standards: Annotated[
+        Path | None,
+        typer.Option(
+            help="TOML file with [standards.load_cell] and [standards.indenter], or a station's: certificates that"
+            " the forces are traced to."
+        ),
+    ] = None,
     output: PageOutput = None,
     as_json: AsJson = False,
 ) -> int:
@@ -66,4 +73,4 @@ def calibrate(
 
     check_page(output)
     files = PressFiles(readings, presses, sensor_type, pattern, differences, rest, row_shift)
-    return show(calibrate_from_presses(files, to, tell=announce), output=output, as_json=as_json)
+    return show(calibrate_from_presses(files, to, standards=standards, tell=announce), output=output, as_json=as_json)

@@ -1,6 +1,7 @@
 """``cbsr-qa run``: tests one sensor."""
 
 from enum import StrEnum
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -38,6 +39,10 @@ def run(
     why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for a changed recipe or station file.")] = "",
     sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
     material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
+    batch_model: Annotated[
+        Path | None,
+        typer.Option(help="Model of the batch, for a recipe with such a prior; by default the newest of the batch."),
+    ] = None,
     seed: Annotated[
         int | None,
         typer.Option(
@@ -97,6 +102,7 @@ def run(
         database=database,
         why=why,
         override=overridden,
+        batch_model=batch_model,
     )
     if dry_run:
         from cbsr_qa.app.run.planned import plan_outcome

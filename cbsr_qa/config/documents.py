@@ -42,6 +42,7 @@ class DocumentKind(Enum):
     GAUGE_STUDY = ("gauge study", "studies", "study")
     LIMITS = ("limits", "limits", "limits_version")
     REFERENCES = ("reference values", "references", "reference")
+    STANDARDS = ("standards", "standards", "standards")
 
     @property
     def noun(self) -> str:

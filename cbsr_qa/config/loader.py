@@ -14,13 +14,15 @@ from cbsr_qa.config.limits import with_limits
 from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import RecipeFile, with_picture
 from cbsr_qa.config.scene import STATION_TABLES, SceneFile
-from cbsr_qa.config.sensor_type import SensorTypeFile
+from cbsr_qa.config.sensor_type import ScannedTypeFile, SensorTypeFile
+from cbsr_qa.config.standards import StandardsFile
 from cbsr_qa.config.station import StationFile, resolve_options
 from cbsr_qa.config.tables import FileModel, validate
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain.errors import ConfigError, NumericsError
 from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
 from cbsr_qa.domain.plan.scene_plan import ScenePlan
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.sensor.electrodes import widest_ring_mm
 from cbsr_qa.domain.sensor.mesh import mesh_arrays
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
@@ -116,11 +118,23 @@ def load_sensor_type(source: Source, *, near: Path | None = None) -> Loaded[Sens
     return _load(DocumentKind.SENSOR_TYPE, SensorTypeFile, source, near)
 
 
-def load_pressed_type(source: Source) -> tuple[Loaded[SensorType], bool]:
+def load_scanned_type(source: Source) -> Loaded[SensorType]:
+    """Load a sensor type for readings that bring their pattern; that of the file does not matter.
+
+    See :func:`load_station` for what is raised.
+    """
+    return _load(DocumentKind.SENSOR_TYPE, ScannedTypeFile, source, None)
+
+
+def load_pressed_type(source: Source, *, scanned: bool = False) -> tuple[Loaded[SensorType], bool]:
     """Load the sensor type of a sheet that is calibrated by presses, which may leave its size out.
 
     A disc without ``radius_mm`` gets a radius of :data:`UNIT_MM` and electrodes at its rim; ``thickness_mm``,
     ``ring_radius_mm`` and the electrodes' size do not matter then.
+
+    Parameters
+    ----------
+    scanned : whether the readings bring their pattern, as for :func:`load_scanned_type`.
 
     Returns
     -------
@@ -129,13 +143,13 @@ def load_pressed_type(source: Source) -> tuple[Loaded[SensorType], bool]:
     document = open_document(DocumentKind.SENSOR_TYPE, source) if not isinstance(source, Mapping) else None
     sheet = None if document is None else document.data.get("sensor_type")
     if document is None or not isinstance(sheet, Mapping) or sheet.keys() & {"radius_mm", "outline_mm", "mesh"}:
-        return load_sensor_type(source), True
+        return load_scanned_type(source) if scanned else load_sensor_type(source), True
     data = {**document.data, "sensor_type": {"thickness_mm": 1.0, **sheet, "radius_mm": UNIT_MM}}
     electrodes = data.get("electrodes")
     if isinstance(electrodes, Mapping):
         data["electrodes"] = _place_at_rim(electrodes)
     unsized = replace(document, data=data)
-    return Loaded(validate(SensorTypeFile, unsized, None), unsized), False
+    return Loaded(validate(ScannedTypeFile if scanned else SensorTypeFile, unsized, None), unsized), False
 
 
 def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
@@ -146,6 +160,11 @@ def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
     kept_keys = {key: value for key, value in electrodes.items() if key not in ("diameter_mm", "length_mm")}
     ring_mm = UNIT_MM if is_arc else widest_ring_mm(width_mm, UNIT_MM)
     return {**kept_keys, "ring_radius_mm": ring_mm, "length_mm" if is_arc else "diameter_mm": width_mm}
+
+
+def load_standards(source: Source) -> Loaded[tuple[ReferenceStandard, ...]]:
+    """Load reference standards from a file of their own, or of a station. See :func:`load_station` for errors."""
+    return _load(DocumentKind.STANDARDS, StandardsFile, source, None)
 
 
 def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:

@@ -3,21 +3,27 @@
 import hashlib
 import json
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import asdict, dataclass, replace
 from datetime import date, datetime, time
 from typing import Any, Self
 
 from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.plugin.discovery import Plugins
 
 _OF_A_RUN = (DocumentKind.STATION, DocumentKind.RECIPE, DocumentKind.SENSOR_TYPE, DocumentKind.MATERIAL)
 
-#: Version of the document's layout.
+#: Version of the document's layout, and of that of a batch's model in it.
 LAYOUT = 1
+BATCH_LAYOUT = 1
+_BATCH = "batch_model"
+#: Parts of the document that determine how a run is analysed.
+RECIPE_KEYS = ("recipe", _BATCH)
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -121,13 +127,65 @@ def restore(canonical: str) -> Configuration:
     world = load_scene(content["emulated_scene"]) if "emulated_scene" in content else None
     return Configuration(
         _with_scenes(station.value, scenes, world),
-        load_recipe(content["recipe"]).value,
+        restore_recipe(content),
         load_sensor_type(content["sensor_type"]).value,
         load_material(content["material"]).value,
         int(content["seed"]),
         canonical,
         _serial_pattern(content["sensor_type"]),
     )
+
+
+def restore_recipe(content: Mapping[str, Any]) -> Recipe:
+    """Return the recipe of a stored configuration, with the batch's model if it has one."""
+    return _with_batch(load_recipe(content["recipe"]).value, content.get(_BATCH))
+
+
+def add_batch_model(configuration: Configuration, kept: KeptBatch) -> Configuration:
+    """Return the configuration of a run that takes this batch as the prior of its sensor's map."""
+    model = json.loads(json.dumps(asdict(kept)))
+    content = json.loads(configuration.canonical) | {_BATCH: model}
+    return replace(configuration, recipe=_with_batch(configuration.recipe, model), canonical=canonical_json(content))
+
+
+def digest_batch_model(content: Mapping[str, Any]) -> str:
+    """Return the SHA-256 of the content of a batch's model, but for what is stated of it in the content itself."""
+    rest = {key: value for key, value in content.items() if key != "content_sha256"}
+    return content_digest(json.loads(json.dumps(rest)))
+
+
+def read_batch_model(content: Mapping[str, Any], where: str) -> KeptBatch:
+    """Return a batch's model as it was kept.
+
+    Parameters
+    ----------
+    where : what the content was read from, for messages.
+
+    Raises
+    ------
+    ConfigError
+        If it is not such a model, of another layout, or was changed.
+    """
+    write_again = "learn it again: cbsr-qa batch model"
+    if content.get("layout") != BATCH_LAYOUT:
+        raise ConfigError(
+            f"{where} is a batch's model of layout {content.get('layout')!r}; this version reads {BATCH_LAYOUT}",
+            remedy=write_again,
+        )
+    try:
+        kept = fill_from_mapping(KeptBatch, content)
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ConfigError(f"{where} is not a batch's model", remedy=write_again) from error
+    if digest_batch_model(content) != kept.content_sha256:
+        raise ConfigError(f"{where} was changed: its content is not that of its SHA-256", remedy=write_again)
+    return kept
+
+
+def _with_batch(recipe: Recipe, model: Mapping[str, Any] | None) -> Recipe:
+    if model is None:
+        return recipe
+    kept = read_batch_model(model, "the batch's model in the configuration")
+    return replace(recipe, analysis=replace(recipe.analysis, batch=kept))
 
 
 @dataclass(frozen=True, slots=True)

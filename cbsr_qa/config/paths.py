@@ -45,6 +45,11 @@ def materials_folder(environment: Mapping[str, str] = os.environ) -> Path:
     return var_folder(environment) / "materials"
 
 
+def batches_folder(environment: Mapping[str, str] = os.environ) -> Path:
+    """Folder for the models of batches, below :func:`var_folder`."""
+    return var_folder(environment) / "batches"
+
+
 def check_folder(folder: Path) -> None:
     """Refuse a folder that could not be created or written to, without writing.
 

@@ -91,6 +91,7 @@ class AnalysisTable(Table):
     noise_weighting: Literal["equal", "measured"] = "equal"
     transients: Literal["averaged", "predicted"] = "averaged"
     learn_place: bool = False
+    prior: Literal["none", "batch"] = "none"
 
     def problems(self) -> Iterator[Problem]:
         if self.main_mask_percent not in self.masks_percent:
@@ -258,6 +259,8 @@ class RecipeFile(FileModel[Recipe]):
                 yield Problem(("recipe", "calibrate_phases"), finding)
         if self.analysis.learn_place and not self.recipe.calibrate_phases:
             yield Problem(("analysis", "learn_place"), "is true, but calibrate_phases names no phase to learn from")
+        if self.analysis.prior != "none" and not self.recipe.calibrate_phases:
+            yield Problem(("analysis", "prior"), "is 'batch', but calibrate_phases names no phase that calibrates")
         yield from self._way_problems()
         yield from self.analysis.problems()
         for index, limit in enumerate(self.limits):

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Mapping
 from functools import cached_property
 from typing import Annotated, Any, Final, Literal
 
-from pydantic import AfterValidator, Field, PlainValidator
+from pydantic import AfterValidator, Field, PlainValidator, field_validator
 
 from cbsr_qa.config.serials import check_serial_pattern
 from cbsr_qa.config.tables import FileModel
@@ -317,3 +317,15 @@ class SensorTypeFile(FileModel[SensorType]):
         assert layout is not None
         polygon = outline if isinstance(outline, Polygon) else None
         return SensorType(sheet.name, outline.radius_mm, sheet.thickness_mm, layout, pattern, response, polygon)
+
+
+class ScannedTypeFile(SensorTypeFile):
+    """A sensor type file for readings that bring their pattern: its own is neither needed nor looked at."""
+
+    @field_validator("pattern", mode="before")
+    @classmethod
+    def _leave_out(cls, _: Any) -> dict[str, Any]:
+        return {}
+
+    def _pattern_problems(self) -> Iterator[Problem]:
+        yield from ()

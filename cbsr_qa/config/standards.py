@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from datetime import date
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
-from cbsr_qa.config.tables import IsoDate, as_domain
+from cbsr_qa.config.tables import FileModel, IsoDate, as_domain
 from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.plugin.problems import Problem, Table
@@ -55,10 +55,13 @@ class StandardsTable(Table):
     load_cell: LoadCellTable | None = None
     indenter: HeadTable | None = None
 
-    def problems(self, head: Indenter) -> Iterator[Problem]:
-        """Yield contradictions, also with the station's head."""
+    def problems(self) -> Iterator[Problem]:
+        """Yield contradictions of each certificate with itself."""
         for role, table in self._tables():
             yield from table.problems(role)
+
+    def head_problems(self, head: Indenter) -> Iterator[Problem]:
+        """Yield contradictions with the station's head."""
         if self.indenter is not None and self.indenter.unit == "mm" and head.outline_mm:
             finding = 'is "mm", of a diameter, and the head of the station is not round'
             yield Problem(("standards", "indenter", "unit"), finding, 'give the uncertainty of its area in "%"')
@@ -75,3 +78,19 @@ class StandardsTable(Table):
         for role, table in ((StandardRole.LOAD_CELL, self.load_cell), (StandardRole.INDENTER, self.indenter)):
             if table is not None:
                 yield role, table
+
+
+class StandardsFile(FileModel[tuple[ReferenceStandard, ...]]):
+    """A file with ``[standards]``: by itself, or a station's, of which nothing else is looked at."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
+
+    standards: StandardsTable
+
+    def problems(self) -> Iterator[Problem]:
+        if self.standards.load_cell is None and self.standards.indenter is None:
+            yield Problem(("standards",), "states no standard", "give [standards.load_cell] or [standards.indenter]")
+        yield from self.standards.problems()
+
+    def to_domain(self) -> tuple[ReferenceStandard, ...]:
+        return self.standards.to_domain()

@@ -250,7 +250,8 @@ class StationFile(FileModel[Station]):
 
     def _standards_problems(self) -> Iterator[Problem]:
         if not any(problem.path[0] == "indenter" for problem in self.indenter.problems()):
-            yield from self.standards.problems(self.indenter.to_domain())
+            yield from self.standards.problems()
+            yield from self.standards.head_problems(self.indenter.to_domain())
 
     def _emulation_problems(self) -> Iterator[Problem]:
         emulated_roles = [

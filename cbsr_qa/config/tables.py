@@ -6,7 +6,7 @@ from datetime import date, datetime
 from pathlib import Path
 from typing import Annotated, Any, Generic, TypeVar
 
-from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict
+from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
 from cbsr_qa.config.choices import Choice, check_choice
 from cbsr_qa.config.documents import REFERENCE, Document, find_not_finite
@@ -19,6 +19,8 @@ from cbsr_qa.plugin.problems import CheckedTable, Problem, check
 T = TypeVar("T")
 D = TypeVar("D")
 _PERCENT = "_percent"
+_WORD_RULE = "lower-case letters, digits and _, starting with a letter, at most 64 of them"
+_DATE_RULE = "a date like 2027-03-31"
 
 #: Most problems of a file that are listed.
 MOST_LISTED = 50
@@ -27,11 +29,11 @@ MOST_LISTED = 50
 def _word(text: str) -> str:
     if re.fullmatch(r"[a-z][a-z0-9_]{0,63}", text):
         return text
-    raise ValueError("it must be lower-case letters, digits and _, starting with a letter, at most 64 of them")
+    raise ValueError(f"it must be {_WORD_RULE}")
 
 
 #: Name that code uses, as of a role or a measurement.
-Word = Annotated[str, AfterValidator(_word)]
+Word = Annotated[str, AfterValidator(_word), Field(description=_WORD_RULE)]
 
 
 def _iso_date(value: Any) -> str:
@@ -39,15 +41,15 @@ def _iso_date(value: Any) -> str:
     if isinstance(value, date) and not isinstance(value, datetime):
         return value.isoformat()
     if not isinstance(value, str):
-        raise ValueError("it must be a date like 2027-03-31")
+        raise ValueError(f"it must be {_DATE_RULE}")
     try:
         return date.fromisoformat(value).isoformat()
     except ValueError:
-        raise ValueError("it must be a date like 2027-03-31") from None
+        raise ValueError(f"it must be {_DATE_RULE}") from None
 
 
 #: Date as ISO text.
-IsoDate = Annotated[str, BeforeValidator(_iso_date)]
+IsoDate = Annotated[str, BeforeValidator(_iso_date), Field(description=_DATE_RULE)]
 
 
 class OpenTable(BaseModel):

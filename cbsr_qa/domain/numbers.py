@@ -1,9 +1,10 @@
 """Validation of numbers and text from callers."""
 
+import re
 from collections.abc import Collection
 from difflib import get_close_matches
 from numbers import Integral
-from typing import Any
+from typing import Any, Final
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -13,6 +14,8 @@ from cbsr_qa.domain.errors import NumericsError, RefusedError
 Array = NDArray[np.float64]  #: real numbers in double precision
 Indices = NDArray[np.int64]  #: places in another array
 Mask = NDArray[np.bool_]  #: which entries of another array
+#: Digits of a number in a name that are compared.
+_MOST_DIGITS: Final = 18
 
 
 def real_numbers(values: ArrayLike, what: str, *, remedy: str = "") -> NDArray[np.float64]:
@@ -108,9 +111,28 @@ def with_type(found: object) -> str:
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
-    """Suggest the nearest known name; empty if none is near."""
-    near = get_close_matches(name, known, n=1)
-    return f"did you mean {near[0]!r}?" if near else ""
+    """Suggest the nearest known name; empty if none is near.
+
+    Numbers in names count as numbers: S-5 is near S-05, and S-31 nearer to S-30 than to S-13.
+    """
+    letters, numbers = _split_numbers(name)
+    numbers_of_alike = {other: split[1] for other in known if (split := _split_numbers(other))[0] == letters}
+    same = [other for other, values in numbers_of_alike.items() if values == numbers]
+    close = same or get_close_matches(name, known, n=len(known) or 1)
+    alike = [other for other in close if other in numbers_of_alike]
+    if alike:
+        return f"did you mean {min(alike, key=lambda other: _distance(numbers_of_alike[other], numbers))!r}?"
+    return f"did you mean {close[0]!r}?" if close else ""
+
+
+def _split_numbers(name: str) -> tuple[str, tuple[int, ...]]:
+    """Return a name without case and separators and with # for each number, and the numbers."""
+    plain = re.sub(r"[-_ ./]", "", re.sub(r"[0-9]+", "#", name.casefold()))
+    return plain, tuple(int(digits[-_MOST_DIGITS:]) for digits in re.findall(r"[0-9]+", name))
+
+
+def _distance(numbers: tuple[int, ...], others: tuple[int, ...]) -> int:
+    return sum(abs(number - other) for number, other in zip(numbers, others, strict=True))
 
 
 def prefix_kind(kind: str, name: str) -> str:

@@ -7,9 +7,10 @@ from typing import TYPE_CHECKING, Any
 from numpy.typing import ArrayLike
 
 from cbsr_qa.analysis.recording.table_files import TableForm
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file, analyse_frames
+from cbsr_qa.app.analyse.analyse import analyse_file, analyse_frames
 from cbsr_qa.app.analyse.outcome import Analysed, analyse_outcome
-from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.app.analyse.request import AnalyseRequest
+from cbsr_qa.config.loader import load_scanned_type
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.readings.frames import Recording, ScanKind
 from cbsr_qa.interface.frames import Frames, frame_block, recording_dataset
@@ -126,7 +127,7 @@ def _analyse_rows(
             raise analysed.error
         return analysed
     recording, sensor_type = rows_recording(
-        source, options, load_sensor_type(request.sensor_type).value, time_s=time_s
+        source, options, load_scanned_type(request.sensor_type).value, time_s=time_s
     )
     return analyse_frames(recording, request, sensor_type, tell=tell)
 

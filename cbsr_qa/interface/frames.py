@@ -10,7 +10,7 @@ from numpy.typing import ArrayLike
 
 from cbsr_qa.app.export.frames import frames_of
 from cbsr_qa.app.export.netcdf import Variable, frame_variables
-from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.config.loader import load_scanned_type, load_sensor_type
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import real_numbers
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, VoltageUnit
@@ -113,8 +113,15 @@ def _block(
     return FrameBlock(times, np.where(missing, 0.0, voltages), flags, VoltageUnit.VOLT, current_A)
 
 
-def sensor_type_of(frames: Frames, sensor_type: str | Path | SensorType | None) -> SensorType:
-    """Return a sensor type; by default the one that a dataset names. RefusedError if nothing names one."""
+def sensor_type_of(
+    frames: Frames, sensor_type: str | Path | SensorType | None, *, scanned: bool = False
+) -> SensorType:
+    """Return a sensor type; by default the one that a dataset names. RefusedError if nothing names one.
+
+    Parameters
+    ----------
+    scanned : whether the readings bring their pattern, so that the one of a file does not matter.
+    """
     if isinstance(sensor_type, SensorType):
         return sensor_type
     named = getattr(frames, "attrs", {}).get("sensor_type") if sensor_type is None else str(sensor_type)
@@ -122,4 +129,4 @@ def sensor_type_of(frames: Frames, sensor_type: str | Path | SensorType | None) 
         raise RefusedError(
             "an array does not state its sensor type", remedy='give one, e.g. sensor_type="disc-100mm"'
         )
-    return load_sensor_type(named).value
+    return (load_scanned_type if scanned else load_sensor_type)(named).value

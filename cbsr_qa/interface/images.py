@@ -85,6 +85,7 @@ def image(
         named_type = sensor_type_of(cast(Frames, frames), sensor_type)
     else:
         row_options = RowOptions(pattern, differences, reference, complex_part)
-        recording, named_type = rows_recording(frames, row_options, sensor_type_of(cast(Frames, frames), sensor_type))
+        scanned_type = sensor_type_of(cast(Frames, frames), sensor_type, scanned=True)
+        recording, named_type = rows_recording(frames, row_options, scanned_type)
         block, unloaded = recording.frames, recording.reference
     return Images(image_outcome(image_frames(block, unloaded, named_type, chosen, tell=progress or quiet)))

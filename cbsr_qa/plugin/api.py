@@ -167,10 +167,12 @@ from cbsr_qa.plugin.instruments import (
     StationContext as StationContext,
 )
 from cbsr_qa.plugin.interfaces import (
+    AdaptiveSequence as AdaptiveSequence,
     AnyEffect as AnyEffect,
     Effect as Effect,
     EventSink as EventSink,
     LoadMetric as LoadMetric,
+    PressGoal as PressGoal,
     Reconstruction as Reconstruction,
     RecordingEffect as RecordingEffect,
     RecordingFormat as RecordingFormat,

@@ -197,6 +197,45 @@ class Sequence(Protocol):
         ...
 
 
+@dataclass(frozen=True, slots=True)
+class PressGoal:
+    """When a sequence that decides ends: the force error of the calibration is good enough, or presses are enough.
+
+    Parameters
+    ----------
+    target_N : force error, root mean square over the loads that matter, of which ``confidence`` is demanded.
+    at_least, at_most : fewest and most presses of the sequence.
+    radius_mm, strains : loads that matter: every radius up to this, and every strain (a fraction) between these.
+    confidence : probability with which the error shall be below the target.
+    """
+
+    target_N: float
+    at_least: int
+    at_most: int
+    radius_mm: float
+    strains: tuple[float, float]
+    confidence: float
+
+
+@runtime_checkable
+class AdaptiveSequence(Protocol):
+    """A sequence whose presses are a choice: the run decides after each which one is next, and when to end.
+
+    Its steps list every press that may be chosen, once, so that a dry run checks all of them before anything moves.
+    What comes before the first press is done once; the steps of a press begin with it, or with the surface finding
+    right before it, and end where those of the next one begin. Its phase must be one that calibrates.
+    """
+
+    @property
+    def goal(self) -> PressGoal:
+        """When it ends."""
+        ...
+
+    def steps(self, context: SequenceContext) -> Iterator[Step]:
+        """Yield the steps, the same ones on every call."""
+        ...
+
+
 class EventSink(Protocol):
     """Delivers the events of a run elsewhere: to a file, a broker, a server.
 

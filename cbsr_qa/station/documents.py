@@ -14,6 +14,7 @@ from cbsr_qa.domain.run.run import (
     PhaseFinished,
     PhaseRecord,
     PhaseStarted,
+    PressDecided,
     RunEnded,
     RunEvent,
     RunIdentity,
@@ -129,6 +130,7 @@ class MemoryJournal:
         return RunRecord(
             identity, plan.sensor_type, plan.material, plan.indenter, phases, ended.end, ended.detail, ended.time_s,
             ended.spent, pauses=pauses_of(attendance), prompts=prompts_of(attendance),
+            decisions=tuple(event for event in self._events if isinstance(event, PressDecided)),
         )  # fmt: skip
 
     def _select_events(self, kind: type[E], phase: int) -> list[E]:
@@ -138,7 +140,8 @@ class MemoryJournal:
         frames = [item.frames for item in self._select_events(FramesTaken, event.index)]
         samples = [item.samples for item in self._select_events(SamplesTaken, event.index)]
         channels = sorted({block.channel for block in samples})
-        loads = [item.record for item in self._select_events(LoadFinished, event.index)]
+        records = [item.record for item in self._select_events(LoadFinished, event.index)]
+        loads = sorted(records, key=lambda record: record.index)
         return PhaseRecord(
             index=event.index,
             name=event.name,

@@ -1,6 +1,7 @@
 """Dry run: duration, travel, strain and force of a plan, and violations of the station's limits."""
 
-from collections.abc import Iterator
+import copy
+from collections.abc import Collection, Iterator
 from dataclasses import dataclass, field, replace
 from itertools import chain
 from typing import Final
@@ -44,6 +45,7 @@ from cbsr_qa.station.plan import (
     duration,
     frames_in_hold,
     schedule,
+    split_presses,
 )
 
 #: Touches that give a plane.
@@ -52,7 +54,13 @@ _PLANE: Final = 3
 
 @dataclass(frozen=True, slots=True)
 class DryPhase:
-    """Expected time and content of one phase."""
+    """Expected time and content of one phase.
+
+    Parameters
+    ----------
+    durations_s : expected duration of each scheduled step.
+    frames : number; of a phase that decides with its most presses.
+    """
 
     scheduled: ScheduledPhase
     durations_s: tuple[float, ...]
@@ -60,7 +68,31 @@ class DryPhase:
 
     @property
     def duration_s(self) -> float:
-        return sum(self.durations_s)
+        """Expected duration; of a phase that decides with its most presses [s]."""
+        return sum(self.durations_s[: len(counted_steps(self.scheduled))])
+
+    @property
+    def presses(self) -> int:
+        """Number of presses; of a phase that decides the most that are left."""
+        return sum(isinstance(scheduled.step, Press) for scheduled in counted_steps(self.scheduled))
+
+    def duration_with_s(self, presses: int) -> float:
+        """Expected duration of a phase that decides with a number of presses, those of earlier sessions included."""
+        return sum(self.durations_s[: len(counted_steps(self.scheduled, presses))])
+
+
+def counted_steps(scheduled: ScheduledPhase, presses: int | None = None) -> tuple[ScheduledStep, ...]:
+    """Return the steps that take time: all, but of a phase that decides those of its most presses, in listed order.
+
+    Parameters
+    ----------
+    presses : number instead of the most, those of earlier sessions included.
+    """
+    if scheduled.goal is None or scheduled.finished:
+        return scheduled.steps
+    before, by_load = split_presses(scheduled.steps)
+    left = max((scheduled.goal.at_most if presses is None else presses) - scheduled.pressed, 0)
+    return (*before, *chain.from_iterable(list(by_load.values())[:left]))
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,7 +135,7 @@ def dry_run(
     plan: Plan,
     frame_period_s: float,
     *,
-    done: frozenset[LoadKey] = frozenset(),
+    done: Collection[LoadKey] = (),
     ended: frozenset[int] = frozenset(),
     answered: bool = True,
 ) -> DryRun:
@@ -120,7 +152,7 @@ def dry_run(
         phases,
         walk.spent.table(),
         walk.travel_mm,
-        sum(isinstance(s.step, Press) for p in phases for s in p.scheduled.steps),
+        sum(phase.presses for phase in phases),
         sum(p.frames for p in phases),
         walk.peak_strain,
         walk.peak_force_N,
@@ -156,15 +188,23 @@ class _DryWalk:
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
         self.frames = 0
         self.clearance_mm = None
+        counted = counted_steps(scheduled)
+        durations_s = self._walk(scheduled, counted)
+        if self.depth_mm is not None:
+            self._note(f"phase {scheduled.name!r} ends with the head down")
+        # Presses beyond the most may be chosen instead: they are checked too, and take no more time.
+        others = replace(self, spent=copy.deepcopy(self.spent))
+        durations_s += others._walk(scheduled, scheduled.steps[len(counted) :])
+        return DryPhase(scheduled, tuple(durations_s), self.frames)
+
+    def _walk(self, scheduled: ScheduledPhase, steps: tuple[ScheduledStep, ...]) -> list[float]:
         durations_s = []
-        for step in scheduled.steps:
+        for step in steps:
             before_s = self.spent.total_s()
             for violation in chain(self._step(step), self._dwell()):
                 self._note(violation.what, f"phase {scheduled.name!r}, {describe(step.step)}: ")
             durations_s.append(self.spent.total_s() - before_s)
-        if self.depth_mm is not None:
-            self._note(f"phase {scheduled.name!r} ends with the head down")
-        return DryPhase(scheduled, tuple(durations_s), self.frames)
+        return durations_s
 
     def finish(self) -> None:
         total_s, allowed_s = self.spent.total_s(), self.plan.safety.duration_s

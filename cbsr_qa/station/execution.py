@@ -1,14 +1,24 @@
 """Execution of a plan: steps, events, and the end of a run."""
 
 import logging
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass
-from typing import TYPE_CHECKING, Any, Final
+from typing import TYPE_CHECKING, Any, Final, Protocol
 
 from cbsr_qa.domain.errors import AbortedError, CbsrError, ConfigError, InstrumentError, SafetyError
-from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, LowerHover, MarkUnloaded, TouchPlane
-from cbsr_qa.domain.run.run import PhaseFinished, PhaseStarted, RunEnded, RunIdentity, RunStarted, StepStarted
+from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, LowerHover, MarkUnloaded, Release, TouchPlane
+from cbsr_qa.domain.readings.loads import LoadRecord
+from cbsr_qa.domain.run.run import (
+    PhaseFinished,
+    PhaseStarted,
+    PressDecided,
+    RunEnded,
+    RunEvent,
+    RunIdentity,
+    RunStarted,
+    StepStarted,
+)
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.instruments import GuidedApplicator
 from cbsr_qa.station.bench import Bench
@@ -18,7 +28,7 @@ from cbsr_qa.station.dry_runs import DryPhase, DryRun, dry_run
 from cbsr_qa.station.interrupts import Interrupts, Stopped, on_stderr
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.performer import Ask, Performer
-from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe, ends_rest
+from cbsr_qa.station.plan import LoadKey, Plan, ScheduledStep, describe, ends_rest, split_presses
 from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.safety import Interlock, UnderWay
 from cbsr_qa.station.watchdog import BrokenInto, Watchdog
@@ -31,6 +41,8 @@ if TYPE_CHECKING:
 
 #: End of a run: reason and detail.
 Ending = tuple[EndReason, str]
+#: A step and its expected duration [s].
+TimedStep = tuple[ScheduledStep, float]
 
 _log: Final = logging.getLogger(__name__)
 
@@ -83,6 +95,27 @@ def _what(error: BaseException) -> str:
             return f"error {describe_error(error)}"
 
 
+class Decider(Protocol):
+    """Decides which press of a phase is next, from what is stored of the run."""
+
+    def follow(self, event: RunEvent) -> None:
+        """Take note of an event that is stored."""
+        ...
+
+    def begin(self, identity: RunIdentity, phase: int, pressed: int, last: LoadRecord | None) -> None:
+        """Begin to decide in another thread, after some presses of a phase.
+
+        Parameters
+        ----------
+        last : the last of them if its rest has not ended; None if all are among the events.
+        """
+        ...
+
+    def decide(self, time_s: float) -> tuple[PressDecided, bool]:
+        """Wait for the decision; return it, and whether it is new: not of an earlier session."""
+        ...
+
+
 def execute(
     plan: Plan,
     identity: RunIdentity,
@@ -90,10 +123,11 @@ def execute(
     clock: Clock,
     subscribers: Sequence[Subscriber],
     *,
-    done: frozenset[LoadKey] = frozenset(),
+    done: Collection[LoadKey] = (),
     ended: frozenset[int] = frozenset(),
     ask: Ask | None = None,
     desk: ControlDesk | None = None,
+    decider: Decider | None = None,
     retries: int = 2,
     warn: Warn = _log.warning,
     tell: Warn = on_stderr,
@@ -109,11 +143,13 @@ def execute(
     ----------
     subscribers : functions called with every document in order. The first is the journal, which stores a document
         before the others see it; a document it cannot store breaks the run. The others cannot stop the run.
-    done : loads (phase, index) finished in an earlier session of the same run; they are not pressed again.
+    done : loads (phase, index) finished in an earlier session of the same run, in the order of pressing; they are
+        not pressed again.
     ended : phases that ended in an earlier session; only homing and surface finding of them are done again.
     ask : function that shows a prompt and returns when it is answered; an ``OperatorPrompt`` if instruments
         ask through it as well, so that one that waits for the operator does not count as hanging.
     desk : desk that takes requests to pause, to continue, and to stop.
+    decider : decides between presses; needed by plans with a sequence that decides.
     retries : most repetitions of an operation that failed retryably.
     warn : function called with a message for each subscriber that fails.
     tell : function called in a signal's handler with its effect and that of another signal.
@@ -142,10 +178,11 @@ def execute(
     ):
         interlock.clear(bench)
         interrupts.hurry, interrupts.waiting = watchdog.hurry, prompt.is_waiting
-        documents = Documents(subscribers, interrupts, warn)
+        follow = [] if decider is None else [decider.follow]
+        documents = Documents([subscribers[0], *follow, *subscribers[1:]], interrupts, warn)
         run = UnderWay(plan, bench, clock, documents, interlock, interrupts, watchdog)
         performer = Performer(run, retries=retries, ask=None if ask is None else prompt, surface=surface)
-        execution = _Execution(dry, run, performer, prompt, desk or ControlDesk(), reserve)
+        execution = _Execution(dry, run, performer, prompt, desk or ControlDesk(), decider, reserve)
         end, detail = execution.to_its_end(identity)
         return documents.finish(RunEnded(end, detail, clock.now(), performer.spent.table()))
 
@@ -196,9 +233,10 @@ class _Execution:
         performer: Performer,
         prompt: OperatorPrompt[Any],
         desk: ControlDesk,
+        decider: Decider | None,
         reserve: MemoryReserve,
     ) -> None:
-        self._dry, self._reserve = dry, reserve
+        self._dry, self._decider, self._reserve = dry, decider, reserve
         self._clock, self._documents, self._interlock = run.clock, run.documents, run.interlock
         self._bench, self._interrupts, self._watchdog = run.bench, run.interrupts, run.watchdog
         self._performer = performer
@@ -242,6 +280,7 @@ class _Execution:
             self._end = EndReason.FINISHED, ""
 
     def _through(self, identity: RunIdentity) -> None:
+        self._identity = identity
         self._documents.emit(RunStarted(identity))
         self._prompt.report_to(
             self._documents.emit, self._clock, lambda: 0 if self._at is None else self._at[1].phase
@@ -264,14 +303,47 @@ class _Execution:
                 scheduled.index, scheduled.name, scheduled.sequence, self._clock.now(), scheduled.role
             )
             self._documents.emit(started_event)
-        for place, (step, planned_s) in enumerate(zip(scheduled.steps, phase.durations_s, strict=True)):
-            if self._desk.pause_wanted() and ends_rest(step.step):
-                self._at = phase, step
-                self._pause(phase, place)
-            self._perform(phase, step, planned_s)
+        left_s = self._left_s - phase.duration_s
+        steps = list(zip(scheduled.steps, phase.durations_s, strict=True))
+        performed: list[TimedStep] = []
+        if scheduled.goal is None or scheduled.finished:
+            self._perform_all(phase, steps, performed)
+        else:
+            self._press_chosen(phase, steps, performed)
+        self._left_s = left_s
         self._performer.finish_load()
         if not scheduled.finished:
             self._documents.emit(PhaseFinished(scheduled.index, self._clock.now()))
+
+    def _press_chosen(self, phase: DryPhase, steps: Sequence[TimedStep], performed: list[TimedStep]) -> None:
+        """Press what is decided after each press, until it is decided that the phase ends."""
+        assert self._decider is not None
+        scheduled, decider, pressed = phase.scheduled, self._decider, phase.scheduled.pressed
+        planned_s = {step.number: seconds for step, seconds in steps}
+        before, presses = split_presses(scheduled.steps)
+        decider.begin(self._identity, scheduled.index, pressed, None)
+        self._perform_all(phase, [(step, planned_s[step.number]) for step in before], performed)
+        while True:
+            decided, new = self._performer.wait_for("the next press", decider.decide)
+            self._performer.finish_load()
+            if new:
+                self._documents.emit(decided)
+            if decided.load is None:
+                return
+            chosen = [(step, planned_s[step.number]) for step in presses[decided.load]]
+            up = 1 + next(number for number, (step, _) in enumerate(chosen) if isinstance(step.step, Release))
+            self._perform_all(phase, chosen[:up], performed)
+            pressed += 1
+            decider.begin(self._identity, scheduled.index, pressed, self._performer.load_so_far())
+            self._perform_all(phase, chosen[up:], performed)
+
+    def _perform_all(self, phase: DryPhase, steps: Sequence[TimedStep], performed: list[TimedStep]) -> None:
+        for step, planned_s in steps:
+            if self._desk.pause_wanted() and ends_rest(step.step):
+                self._at = phase, step
+                self._pause(phase, step, performed)
+            self._perform(phase, step, planned_s)
+            performed.append((step, planned_s))
 
     def _perform(self, phase: DryPhase, step: ScheduledStep, planned_s: float) -> None:
         self._at = phase, step
@@ -280,26 +352,25 @@ class _Execution:
         self._performer.perform(step)
         self._left_s -= planned_s
 
-    def _pause(self, phase: DryPhase, place: int) -> None:
+    def _pause(self, phase: DryPhase, step: ScheduledStep, performed: Sequence[TimedStep]) -> None:
         """Wait before a step; then take the frames before it again, so that a press has recent reference frames."""
-        if not self._performer.pause(phase.scheduled.steps[place], self._desk):
+        if not self._performer.pause(step, self._desk):
             return
-        repeated_steps = list(_frames_before(phase, place))
+        repeated_steps = _frames_before(performed)
         self._left_s += sum(planned_s for _, planned_s in repeated_steps)
-        for step, planned_s in repeated_steps:
-            self._perform(phase, step, planned_s)
+        for repeated, planned_s in repeated_steps:
+            self._perform(phase, repeated, planned_s)
 
 
-def _frames_before(phase: DryPhase, place: int) -> list[tuple[ScheduledStep, float]]:
-    """Return the steps with the head up right before a step, and their durations, without mere rests.
+def _frames_before(performed: Sequence[TimedStep]) -> list[TimedStep]:
+    """Return the last of the performed steps with the head up, and their durations, without mere rests.
 
     The pause was a rest already.
     """
     steps = []
-    for number in reversed(range(place)):
-        step = phase.scheduled.steps[number]
+    for step, planned_s in reversed(performed):
         if not isinstance(step.step, Hold | AcquireFrames | MarkUnloaded):
             break
         if not isinstance(step.step, Hold) or step.step.acquire:
-            steps.append((step, phase.durations_s[number]))
+            steps.append((step, planned_s))
     return steps[::-1]

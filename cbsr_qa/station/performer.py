@@ -96,6 +96,9 @@ RETRY_PAUSE_S: Final = 0.25
 #: Remainder of a hold at which it counts as over: below the resolution of any clock after hours [s].
 _OVER_S: Final = 1e-9
 
+#: Longest computation between two presses on a busy computer [s].
+_COMPUTES_S: Final = 120.0
+
 #: Function that shows a text, and a picture if there is one, and returns when it is answered.
 Ask = Callable[..., object]
 
@@ -199,6 +202,26 @@ class Performer:
                     self._look()
         self._documents.emit(RunContinued(before.phase, self._clock.now(), continued))
         return True
+
+    def wait_for(self, what: str, wait: Callable[[float], T]) -> T:
+        """Wait for a computation with the head up; it counts as rest, and takes no time of a virtual clock.
+
+        Parameters
+        ----------
+        wait : called with the present time.
+        """
+        with (
+            self.spent.on(Activity.REST, self._clock),
+            self._watchdog.expect(what, _COMPUTES_S),
+            self._interrupts.idle(),
+        ):
+            result = wait(self._clock.now())
+        self._look()
+        return result
+
+    def load_so_far(self) -> LoadRecord | None:
+        """Return the record of a press that was released, as if its rest ended with the release; None before."""
+        return replace(self._loads).finish(self._loads.times_s[-1]) if self._loads.times_s else None
 
     def finish_load(self) -> None:
         """Emit the last load after its rest."""

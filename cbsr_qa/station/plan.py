@@ -2,7 +2,7 @@
 
 import math
 import os
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence as AnySequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from enum import StrEnum
@@ -29,7 +29,7 @@ from cbsr_qa.domain.plan.steps import (
 from cbsr_qa.domain.readings.loads import Indenter, Load
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.plugin.failures import blame_plugin
-from cbsr_qa.plugin.interfaces import Sequence, SequenceContext
+from cbsr_qa.plugin.interfaces import AdaptiveSequence, PressGoal, Sequence, SequenceContext
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.copies import end_copy
 
@@ -172,6 +172,11 @@ class Plan:
     seed: int
 
     @property
+    def decides(self) -> bool:
+        """Whether a sequence decides between its presses."""
+        return any(isinstance(phase.sequence, AdaptiveSequence) for phase in self.phases)
+
+    @property
     def context(self) -> SequenceContext:
         return SequenceContext(self.sensor_type, self.indenter, self.seed, self.material)
 
@@ -206,6 +211,8 @@ class ScheduledPhase:
     Parameters
     ----------
     finished : whether it ended in an earlier session, so that only set-up steps remain.
+    goal : when a sequence that decides ends; ``steps`` then list every press that may be chosen. None of others.
+    pressed : presses done in earlier sessions.
     """
 
     index: int
@@ -215,10 +222,12 @@ class ScheduledPhase:
     steps: tuple[ScheduledStep, ...]
     loads: int
     finished: bool
+    goal: PressGoal | None = None
+    pressed: int = 0
 
 
 def schedule(
-    plan: Plan, done: frozenset[LoadKey] = frozenset(), ended: frozenset[int] = frozenset()
+    plan: Plan, done: Collection[LoadKey] = (), ended: frozenset[int] = frozenset()
 ) -> tuple[ScheduledPhase, ...]:
     """Collect the steps of every sequence.
 
@@ -230,7 +239,7 @@ def schedule(
 
     Parameters
     ----------
-    done : loads finished in an earlier session of the same run.
+    done : loads finished in an earlier session of the same run, in the order of pressing.
     ended : phases whose last step was carried out in an earlier session.
     """
     if not plan.phases:
@@ -239,7 +248,7 @@ def schedule(
 
 
 def _schedule_phase(
-    plan: Plan, index: int, phase: PlannedPhase, done: frozenset[LoadKey], ended: bool
+    plan: Plan, index: int, phase: PlannedPhase, done: Collection[LoadKey], ended: bool
 ) -> ScheduledPhase:
     steps = tuple(islice(phase.steps(plan.context), MOST_STEPS + 1))
     if not 0 < len(steps) <= MOST_STEPS:
@@ -249,14 +258,21 @@ def _schedule_phase(
         steps = tuple(chain([Home()], steps))
     numbered_steps = tuple(_number_steps(index, steps))
     loads = sum(isinstance(step, Press) for step in steps)
-    first_open = next((load for load in range(loads) if (index, load) not in done), loads)
+    pressed = [load for of_phase, load in done if of_phase == index]
+    first_open = next((load for load in range(loads) if load not in pressed), loads)
+    goal = phase.sequence.goal if isinstance(phase.sequence, AdaptiveSequence) else None
     if ended:
         remaining_steps = tuple(s for s in numbered_steps if isinstance(s.step, Home | FindSurface))
+    elif goal is not None and pressed:
+        remaining_steps = tuple(_skip_pressed(numbered_steps, pressed))
     elif first_open:
         remaining_steps = tuple(_skip_finished(numbered_steps, first_open, loads))
     else:
         remaining_steps = numbered_steps
-    return ScheduledPhase(index, phase.name, phase.sequence_name, _role(phase), remaining_steps, loads, ended)
+    role = _role(phase)
+    return ScheduledPhase(
+        index, phase.name, phase.sequence_name, role, remaining_steps, loads, ended, goal, len(pressed)
+    )
 
 
 def _role(phase: PlannedPhase) -> Role:
@@ -300,6 +316,40 @@ def _skip_finished(numbered: tuple[ScheduledStep, ...], first_open: int, loads: 
         elif load_index == first_open - 1 and (released or scheduled.load is None):
             yield scheduled
         released = released or isinstance(step, Release)
+
+
+def _skip_pressed(numbered: tuple[ScheduledStep, ...], pressed: AnySequence[int]) -> Iterator[ScheduledStep]:
+    """Yield the remaining steps of a phase that decides: set-up, a rest as before any press, presses still to choose.
+
+    The unloaded frames of finished presses are already stored.
+    """
+    before, presses = split_presses(numbered)
+    yield from (scheduled for scheduled in before if not isinstance(scheduled.step, MarkUnloaded | AcquireFrames))
+    released = False
+    for scheduled in presses[pressed[-1]]:
+        if released:
+            yield scheduled
+        released = released or isinstance(scheduled.step, Release)
+    for load, steps in presses.items():
+        if load not in pressed:
+            yield from steps
+
+
+def split_presses(
+    steps: AnySequence[ScheduledStep],
+) -> tuple[tuple[ScheduledStep, ...], dict[int, tuple[ScheduledStep, ...]]]:
+    """Return the steps before the first press, and those of each press by its load.
+
+    A press begins with the surface finding of its place right before it, if there is one.
+    """
+    starts = [
+        number - (number > 0 and type(steps[number - 1].step) is FindSurface)
+        for number, scheduled in enumerate(steps)
+        if isinstance(scheduled.step, Press)
+    ]
+    presses = [tuple(steps[start:end]) for start, end in zip(starts, [*starts[1:], len(steps)], strict=True)]
+    by_load = {scheduled.load: press for press in presses for scheduled in press if isinstance(scheduled.step, Press)}
+    return tuple(steps[: min(starts, default=len(steps))]), {k: v for k, v in by_load.items() if k is not None}
 
 
 def ends_rest(step: Step) -> bool:

@@ -39,20 +39,21 @@ class ChartReferences:
                 connection.execute(insert(ChartReferenceRow), [_values(reference) for reference in references])
                 announce(connection, Kind.CHART_REFERENCE, [reference.reference for reference in references])
 
-    def read_current(self, station: str, until: str = "") -> tuple[ChartReference, ...]:
+    def read_current(self, station: str = "", until: str = "") -> tuple[ChartReference, ...]:
         """Return the current references of a station's charts in the order stored; retired charts have none.
 
         Parameters
         ----------
+        station : empty for all stations.
         until : name of the last reference that counts, in sorting order; empty for no bound.
         """
-        conditions = [ChartReferenceRow.station == station]
+        conditions = [ChartReferenceRow.station == station] if station else []
         if until:
             conditions.append(ChartReferenceRow.reference <= until)
         with reading(self._engine) as connection:
             rows = read_rows_apart(connection, ChartReferenceRow, *conditions).rows
         latest = {
-            (reference.recipe, reference.golden, reference.key, reference.chart): reference
+            (reference.station, reference.recipe, reference.golden, reference.key, reference.chart): reference
             for reference in map(_reference, rows)
         }
         current = (reference for reference in latest.values() if not reference.retired)

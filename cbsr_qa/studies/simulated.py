@@ -13,8 +13,10 @@ from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.software import software_versions
 from cbsr_qa.station.bench import Bench
+from cbsr_qa.station.decider import RunDecider
+from cbsr_qa.station.decisions import PressDecisions
 from cbsr_qa.station.documents import MemoryJournal
-from cbsr_qa.station.execution import execute
+from cbsr_qa.station.execution import Decider, execute
 from cbsr_qa.station.plan import Plan
 from cbsr_qa.station.setup import open_station, plan_of, station_clock
 
@@ -75,7 +77,14 @@ def simulate_run(
                 f"{instrument.role}: {instrument.model}" for instrument in instruments if instrument.simulated
             ),
         )
-        journal = MemoryJournal(plan)
-        return journal.record(identity, execute(plan, identity, bench, clock, [journal])), bench
+        journal, decider = MemoryJournal(plan), _decider(configuration, plan, plugins)
+        return journal.record(identity, execute(plan, identity, bench, clock, [journal], decider=decider)), bench
     finally:
         bench.close()
+
+
+def _decider(configuration: Configuration, plan: Plan, plugins: Plugins) -> Decider | None:
+    """What decides between presses, if a sequence of the plan asks for it."""
+    if not plan.decides:
+        return None
+    return RunDecider(PressDecisions.from_configuration(configuration, plan, plugins), plan)

@@ -25,6 +25,7 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.SEQUENCE, "hysteresis-loop", "sequences.centre:HysteresisLoopSequence"),
     (Kind.SEQUENCE, "preconditioning", "sequences.centre:PreconditioningSequence"),
     (Kind.SEQUENCE, "location-grid", "sequences.places:LocationGridSequence"),
+    (Kind.SEQUENCE, "adaptive-grid", "sequences.adaptive:AdaptiveGridSequence"),
     (Kind.SEQUENCE, "random-loads", "sequences.places:RandomLoadsSequence"),
     (Kind.SEQUENCE, "given-loads", "sequences.places:GivenLoadsSequence"),
     (Kind.SEQUENCE, "relaxation", "sequences.centre:RelaxationSequence"),

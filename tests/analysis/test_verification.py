@@ -4,11 +4,12 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
+from calibration_samples import INDENTER, LOAD_CELL
 from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.analysis.run.force import run_force
-from cbsr_qa.analysis.verification import verify_calibration
+from cbsr_qa.analysis.verification import compare_load_cells, verify_calibration
 from cbsr_qa.app.run.preview import plan_run
 from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.calibration.file.hdf5 import write_calibration
@@ -71,6 +72,38 @@ def test_a_sheet_that_conducts_more_is_said_to_and_weighs_as_before(calibration,
         run, reference=run.reference * 1.001, unloaded=replace(run.unloaded, voltages=run.unloaded.voltages * 1.001)
     )
     assert verify_calibration(louder, calibration).reference_change == pytest.approx(1e-3, rel=0.5)
+
+
+def test_load_cells_cancel_if_one_certificate_is_of_both():
+    other = replace(LOAD_CELL, certificate="K-2027-9", uncertainty=1.2)
+    shared, words = compare_load_cells((LOAD_CELL,), (LOAD_CELL, INDENTER))
+    assert (shared, words.startswith("scatter only; certificate K-2026-0711 of the load cell is that of the")) == (
+        (),
+        True,
+    )
+    shared, words = compare_load_cells((LOAD_CELL,), (other,))
+    assert [float(error.stderr_N(np.array([2.0]))[0]) for error in shared] == pytest.approx([0.005, 0.012])
+    assert words.startswith("scatter and load cell of the calibration (U = 0.5 %")
+    assert "and load cell of the run (U = 1.2 %" in words
+    assert compare_load_cells((), ()) == ((), "scatter only; load cell of the calibration and of the run not stated")
+    shared, words = compare_load_cells((LOAD_CELL,), ())
+    assert len(shared) == 1
+    assert words.endswith("; load cell of the run not stated")
+
+
+@pytest.mark.rest
+def test_another_load_cell_widens_what_is_compared(calibration, checked):
+    """Two load cells of 3 and 4 % with k = 2 add 2.5 % to the sensitivity, and to each force."""
+    cells = [replace(LOAD_CELL, uncertainty=3.0), replace(LOAD_CELL, certificate="other", uncertainty=4.0)]
+    traced = Calibration(replace(calibration.issued, standards=(cells[0],)))
+    bare = verify_calibration(checked[1.0], calibration)
+    same = verify_calibration(replace(checked[1.0], standards=(cells[0],)), traced)
+    found = verify_calibration(replace(checked[1.0], standards=(cells[1],)), traced)
+    assert same.sensitivity_stderr == bare.sensitivity_stderr
+    assert found.sensitivity == bare.sensitivity
+    assert found.sensitivity_stderr == pytest.approx(np.hypot(bare.sensitivity_stderr, 0.025))
+    for before, after in zip(bare.loads, found.loads, strict=True):
+        assert after.stderr_N == pytest.approx(np.hypot(before.stderr_N, 0.025 * before.measured_N))
 
 
 class TestRefused:

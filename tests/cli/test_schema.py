@@ -38,7 +38,7 @@ def test_what_is_for_drawing_alone_is_in_no_schema(capsys):
 
 def test_a_command_without_schema_is_refused_with_those_that_have_one(capsys):
     assert run_guarded(["schema", "gage"]) == 2
-    assert "choose one of: analyse, calibrate, calibration apply," in capsys.readouterr().err
+    assert "choose one of: analyse, batch model, calibrate, calibration apply," in capsys.readouterr().err
 
 
 def test_a_group_of_one_command_needs_no_second_word(capsys):

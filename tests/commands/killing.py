@@ -9,7 +9,7 @@ import os
 import signal
 import sqlite3
 import threading
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import command
@@ -71,20 +71,52 @@ hold_s = 10.0
 rest_s = 12.0
 initial_rest_s = 10.0
 """
+#: A run that decides after each of its presses which one is next: seven, of nine places.
+ADAPTIVE = """
+[recipe]
+name = "deciding"
+calibrate_phases = ["long hold", "chosen places"]
+
+[[phases]]
+name = "long hold"
+sequence = "location-grid"
+strains_percent = [20.0]
+locations_mm = [[0.0, 0.0]]
+hold_s = 20.0
+rest_s = 12.0
+initial_rest_s = 10.0
+
+[[phases]]
+name = "chosen places"
+sequence = "adaptive-grid"
+target_N = 0.1
+at_least = 4
+at_most = 7
+count = 9
+radius_mm = 35.0
+strain_percent = 20.0
+hold_s = 12.0
+rest_s = 11.0
+initial_rest_s = 0.0
+"""
 METRICS = ("centre-of-mass-error", "area-overlap", "noise-figure", "channel-noise", "applied-force", "zero-return",
            "repeatability", "load-assignment", "contact-resistance", "creep")  # fmt: skip
 #: Effects of the shipped scene without those that remember earlier presses.
 STILL = ("sheet-seat", "piezoresistivity", "elastic-stress", "measurement-noise", "load-cell-noise")
 
 
-def write_files(folder, *, memory=False, recipe=RECIPE):
+#: An effect without memory: a sheet whose response varies by 20 % over 20 mm.
+UNEVEN = '[[effects]]\nname = "uneven-response"\ndeviation = 0.2\ncorrelation_mm = 20.0\n'
+
+
+def write_files(folder, *, memory=False, recipe=RECIPE, more_effects=""):
     """Write station, scene and recipe of a quick run; with memory the scene relaxes as the shipped one."""
     from cbsr_qa.config.documents import DocumentKind, open_document
 
     scene, *effects = open_document(DocumentKind.SCENE, "base").text.split("[[effects]]")
     kept = [one for one in effects if memory or any(f'"{name}"' in one for name in STILL)]
     scene = scene.replace("sheet_mesh_size_mm = 6.0", "sheet_mesh_size_mm = 9.0").replace('"base"', '"quick"')
-    (folder / "quick.toml").write_text("[[effects]]".join([scene, *kept]))
+    (folder / "quick.toml").write_text("[[effects]]".join([scene, *kept]) + more_effects)
     station = open_document(DocumentKind.STATION, "simulated").text
     (folder / "station.toml").write_text(station.replace('scene = "base"', 'scene = "quick.toml"'))
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
@@ -255,6 +287,9 @@ def assert_same(one, other):
             np.testing.assert_array_equal(array, again, err_msg=str(place))
     assert one.measurements == other.measurements
     assert one.verdict == other.verdict
+    assert [replace(made, time_s=0.0) for made in one.record.decisions] == [
+        replace(made, time_s=0.0) for made in other.record.decisions
+    ]
 
 
 def assert_nothing_lost(folder, run):
@@ -273,13 +308,18 @@ def assert_nothing_lost(folder, run):
     assert len(set(loads)) == len(loads)
 
 
-def trial(folder, serial, whole, random, *, kills=2):
-    """Kill a run some times at random moments, resume it each time, and compare it with the whole one."""
+def trial(folder, serial, whole, random, *, kills=2, documents=(260, 160)):
+    """Kill a run some times at random moments, resume it each time, and compare it with the whole one.
+
+    Parameters
+    ----------
+    documents : of the journal, before which the first session is killed, and each later one.
+    """
     (Path(folder) / "committed").unlink(missing_ok=True)
     arguments, run = (*BEGIN, "--serial", serial), None
     for _ in range(kills):
-        documents = random.randrange(1, 260 if run is None else 160)
-        if not killed(folder, arguments, documents=documents, after_s=random.uniform(0.0, 0.02)):
+        killed_at = random.randrange(1, documents[0] if run is None else documents[1])
+        if not killed(folder, arguments, documents=killed_at, after_s=random.uniform(0.0, 0.02)):
             break
         run = latest_run(folder, serial)
         if run is not None:

@@ -57,6 +57,7 @@ def test_a_station_without_certificates_states_none(read):
         ('"K-2026-0711"', '""', "standards.load_cell.certificate is ''"),
         ('"2027-03-31"', '"2026-03-02"', "standards.load_cell.due 2026-03-02 is not after the date of calibration"),
         ('"2027-03-31"', '"soon"', "standards.load_cell.due is 'soon'; it must be a date like 2027-03-31"),
+        ('due = "2027-03-31"', "", "standards.load_cell.due is missing; it must be a date like 2027-03-31"),
         ("[standards.load_cell]", "[standards.lood_cell]", "standards.lood_cell"),
     ],
 )

@@ -1,6 +1,7 @@
 """Rows of readings of any pairs by ``qa.analyse``, ``qa.image`` and ``cbsr-qa analyse``: one answer by three ways."""
 
 import json
+from itertools import combinations
 
 import numpy as np
 import pytest
@@ -48,6 +49,22 @@ def test_arrays_tables_and_the_command_find_the_same(pressed, monkeypatch, capsy
     assert (printed["recording"]["format"], printed["recording"]["unit"]) == ("table", "units")
     assert run_guarded(["analyse", "frames.csv", *options]) == 0
     assert "E2       2  electrode" in capsys.readouterr().out
+
+
+def test_the_pattern_of_the_rows_decides_not_that_of_the_sensor_type(pressed, monkeypatch):
+    """Opposite electrodes of 13 do not exist, and five adjacent ones give too few readings."""
+    monkeypatch.chdir(pressed[2])
+    for count, own_pattern in ((13, "opposite"), (5, "adjacent")):
+        pairs = np.array([(a, b, a, b) for a, b in combinations(range(count), 2)])
+        loaded, unloaded = readings(round_sensor(count=count), pairs, PLACES[:1], contrast=0.3)
+        text = SKIN_TOML.replace("count = 16", f"count = {count}") + f'[pattern]\ndrive = "{own_pattern}"\n'
+        (pressed[2] / "odd.toml").write_text(text)
+        with pytest.raises(qa.CbsrError):
+            qa.analyse(loaded, sensor_type="./odd.toml")
+        rest = unloaded * (1 + 1e-6 * np.random.default_rng(3).standard_normal((8, len(unloaded))))
+        (event,) = qa.analyse(loaded, pattern=pairs, rest=rest, sensor_type="./odd.toml").result.events
+        assert np.hypot(event.x_mm - PLACES[0, 0], event.y_mm - PLACES[0, 1]) < 8
+        assert qa.image(loaded, rest, pattern=pairs, sensor_type="./odd.toml").values.shape[0] == 1
 
 
 def test_each_row_gives_an_image(pressed):

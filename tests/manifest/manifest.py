@@ -104,7 +104,7 @@ def read_configuration() -> Any:
     for package in (config, gauge):  # the latter reads two kinds of file
         for module in pkgutil.iter_modules(package.__path__, f"{package.__name__}."):
             importlib.import_module(module.name)
-    files = {model.__name__: model for model in _subclasses(FileModel) if "[" not in model.__name__}
+    files = {model.__name__: model for model in _subclasses(FileModel) if "[" in model.__base__.__name__}
     assert len(files) == len(DocumentKind)
     return {name: _model_schema(model) for name, model in sorted(files.items())}
 

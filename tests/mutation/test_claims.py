@@ -16,7 +16,7 @@ from cbsr_qa.analysis import recording_files
 from cbsr_qa.analysis.recording.reading import read_recording_file
 from cbsr_qa.analysis.recording_files import write_recording
 from cbsr_qa.app.analyse import analyse
-from cbsr_qa.app.analyse.analyse import AnalyseRequest
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.app.calibration.file import read_any
 from cbsr_qa.app.calibration.page import show_calibration
 from cbsr_qa.app.calibration.signing import verify_file

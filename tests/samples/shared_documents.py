@@ -4,7 +4,8 @@ import json
 from functools import cache
 from pathlib import Path
 
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.app.analyse.analyse import analyse_file
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.report.document import json_document
 
 

@@ -112,7 +112,7 @@ def test_a_run_cut_off_in_a_pause_has_a_pause_without_an_end_and_later_prompts_c
     events = short_run(run)
     cut = next(number for number, event in enumerate(events) if isinstance(event, RunPaused))
     journalled(repository, events[: cut + 1])
-    assert repository.runs.list_finished_loads(run) == {(0, 0)}
+    assert repository.runs.list_finished_loads(run) == ((0, 0),)
     assert repository.runs.count_prompts(run) == 0
     shown = PromptShown(0, 0, "Is the head clean?", "", 1.0)
     journalled(repository, [RunStarted(identity(run)), RunPaused(0, 0.5, "Ada"), RunContinued(0, 1.0, "Ada"), shown])
@@ -233,14 +233,14 @@ def test_a_loop_that_was_cut_off_is_pressed_again_as_a_whole_and_stored_on_the_r
     with sqlite3.connect(path) as other:
         steps = [json.loads(step) for (step,) in other.execute("SELECT step FROM steps")]
     assert {"step": "Ease", "strain": 0.3} in steps  # as in databases of before, whatever the class is called
-    assert repository.runs.list_finished_loads(run) == {(0, 0)}
+    assert repository.runs.list_finished_loads(run) == ((0, 0),)
     again = [
         RunStarted(identity(run)),
         PhaseStarted(0, "nine locations", "location-grid", 0.0),
         LoadFinished(0, looped(1, 10.0)),
     ]
     journalled(repository, again)
-    assert repository.runs.list_finished_loads(run) == {(0, 0), (0, 1)}
+    assert repository.runs.list_finished_loads(run) == ((0, 0), (0, 1))
     assert repository.runs.load(run).phases[0].loops == (looped(1, 182.0),)
 
 

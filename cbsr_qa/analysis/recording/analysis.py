@@ -25,6 +25,7 @@ from cbsr_qa.system.clock import Stages
 
 #: Default reconstruction of events.
 DEFAULT_RECONSTRUCTION: Final = "gauss-newton-noser"
+_MOST_NAMED: Final = 5  #: rows of a table
 
 
 @dataclass(frozen=True, slots=True)
@@ -213,7 +214,9 @@ def _unlike_the_model(searched: Searched) -> list[str]:
 
 def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) -> tuple[str, ...]:
     remarks: list[str] = []
-    if recording.problems and recording.rows_rejected:
+    if recording.rows:
+        remarks += [problem.what for problem in recording.problems[:_MOST_NAMED]]
+    if recording.rows_rejected > (_MOST_NAMED if recording.rows else 0):
         rows = "row was" if recording.rows_rejected == 1 else "rows were"
         remarks.append(f"{recording.rows_rejected} {rows} rejected, see the list of problems")
     carry_over = ready.carry_over

@@ -21,7 +21,7 @@ from cbsr_qa.domain.numbers import Array, Mask
 from cbsr_qa.domain.sensor.electrodes import ElectrodeKind, ElectrodeLayout, Electrodes
 from cbsr_qa.domain.sensor.patterns import adjacent_pattern
 from cbsr_qa.domain.sensor.sensor_type import Response, SensorType
-from cbsr_qa.eit.inverse.problem import imaging_problem
+from cbsr_qa.eit.inverse.problem import imaging_problem, nominal_image_mesh
 
 _NOMINAL_RADIUS_MM = 50.0
 _ARC = 0.1  # length of a nominal electrode, of the radius
@@ -96,7 +96,7 @@ def sheet_for(sensor_type: SensorType, used: Mask) -> Sheet:
 
 @lru_cache(maxsize=4)
 def _bumps(sensor_type: SensorType) -> tuple[NDArray[np.int64], Array]:
-    mesh = imaging_problem(sensor_type, image_size_mm=_IMAGE_SIZE * sensor_type.radius_mm).mesh
+    mesh = nominal_image_mesh(sensor_type, _IMAGE_SIZE * sensor_type.radius_mm)
     places = mesh.centroids_mm / sensor_type.radius_mm
     if sensor_type.polygon is None:
         well_inside = np.hypot(*places.T) <= _OUTERMOST

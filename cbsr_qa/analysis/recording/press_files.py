@@ -59,7 +59,7 @@ def read_labelled_presses(files: PressFiles) -> tuple[LabelledPresses, tuple[Sou
             f"{given_options} given",
             remedy="give --differences if the readings are changes, or --rest FILE with frames of the unloaded sheet",
         )
-    loaded_type, sized = load_pressed_type(files.sensor_type)
+    loaded_type, sized = load_pressed_type(files.sensor_type, scanned=files.pattern is not None)
     presses = read_presses(files.presses)
     labelled = LabelledPresses(loaded_type.value, sized, _readings(files, loaded_type.value), presses)
     if files.row_shift:

@@ -26,6 +26,8 @@ from cbsr_qa.analysis.recording.places import Matcher, Place, find_places, fit_l
 from cbsr_qa.analysis.recording.ready import ReadyReadings
 from cbsr_qa.analysis.recording.tank import Object, find_in_rows, find_moving, find_still, fit_tank, reciprocal_noise
 from cbsr_qa.analysis.recording.traces import difference, noise_energy
+from cbsr_qa.calibration.presses.frame_tables import find_odd_sizes
+from cbsr_qa.calibration.presses.odd_units import describe_other_unit
 from cbsr_qa.domain.goodness import Goodness
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.answering import AnsweringSide
@@ -41,6 +43,9 @@ _SAME_CHANGE_S = 1.0  #: changes this close in time are one
 _FIRST_BALL = 0.1  #: initial radius of a ball in a tank, of the tank's
 _BALL_ROUNDS = 3  #: iterations over places and sizes of balls
 _PER_LOAD = 3  #: numbers that are fitted for a load: its place and size
+_FEWEST_LOADS = 3  #: fewer do not tell the usual size of loads
+_BELOW_NOISE = 1 / 8  #: of the noise of a reading; noise is not that small in a whole row
+_MOST_ODD_ROWS = 5  #: rows that are named
 _LEAST_LEFT = 0.5  #: searches are repeated only while this share of the readings remains
 
 
@@ -139,9 +144,11 @@ class RecordedScene:
         sigma: float | Array = reciprocal_noise(changes, problem.used, problem.sensor_type.pattern)
         if not sigma or (self.recording.rows and len(changes) >= FEWEST_FRAMES):
             sigma = self._estimate_noise(changes)
+        remarks: tuple[str, ...]
         if self.recording.rows and self.recording.still:
-            objects, reason = find_in_rows(*self._match_changes(self.sheet, changes, sigma))
-            remarks: tuple[str, ...] = ()
+            white, match = self._match_changes(self.sheet, changes, sigma)
+            objects, reason = find_in_rows(white, match)
+            remarks = _name_odd_rows(white, [row.peak for row in objects])
         elif len(changes) > 1:
             objects, reason = find_moving(*self._match_changes(self.sheet, changes, sigma))
             remarks = ()
@@ -328,6 +335,26 @@ class RecordedScene:
             seen.goodness,
             track if len(track) > 1 else (),
         )
+
+
+def _name_odd_rows(white: Array, loaded: list[int]) -> tuple[str, ...]:
+    """Name rows (n, m) that are as if in another unit: of the loaded ones, and those far below the noise."""
+    rows = np.unique(loaded).astype(np.int64)
+    sizes = np.sqrt(np.mean(white**2, axis=1))
+    odd = (
+        [
+            (int(rows[row]), f"its readings are {describe_other_unit(ratio, 'those of the other loads')}")
+            for row, ratio in find_odd_sizes(white[rows])
+        ]
+        if len(rows) >= _FEWEST_LOADS
+        else []
+    )
+    quiet = np.flatnonzero((sizes > 0) & (sizes < _BELOW_NOISE)) if len(white) >= FEWEST_FRAMES else ()
+    odd += [
+        (int(row), "its changes are far below the noise of the others, as if in another unit or averaged")
+        for row in quiet
+    ]
+    return tuple(f"row {row + 1}: {words}" for row, words in odd[:_MOST_ODD_ROWS])
 
 
 def _describe_side(side: AnsweringSide | None) -> tuple[str, ...]:

@@ -15,17 +15,21 @@ from cbsr_qa.calibration.presses.frame_tables import (
     read_frame_table,
 )
 from cbsr_qa.calibration.presses.odd_labels import list_unused_electrodes
+from cbsr_qa.calibration.presses.odd_units import OTHERS_LET_EXPECT, describe_other_unit, find_odd_readings
 from cbsr_qa.calibration.presses.tables import read_pairs
-from cbsr_qa.domain.errors import RecordingError, RefusedError
+from cbsr_qa.domain.errors import RecordingError, RefusedError, RowProblem
 from cbsr_qa.domain.numbers import Indices
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.sensor.patterns import DrivePattern, Pairs
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Most readings of a frame with every drive against every measure pair: those of 90 electrodes, adjacent.
-_MOST_READINGS: Final = 2**13
-#: Most readings of all frames: a gigabyte.
-_MOST_NUMBERS: Final = 2**27
+#: Most pairs of drive and measure pairs in a frame, whose sensitivities are held: those of 90 electrodes, adjacent.
+_MOST_CELLS: Final = 2**13
+#: The same where all measure across what they drive, and only those of the table are held: 32 electrodes of an
+#: ohmmeter.
+_MOST_DIAGONAL: Final = 2**18
+#: The same of all frames: half a gigabyte.
+_MOST_NUMBERS: Final = 2**26
 
 
 @dataclass(frozen=True, slots=True)
@@ -94,7 +98,7 @@ def check_form(part: ComplexPart | None, *, differences: bool, rest: bool) -> No
         )
     if differences and part not in (None, ComplexPart.REAL):
         raise RefusedError(
-            f"differences have no {part}: the readings of the unloaded sheet are not in them",
+            f"differences have no {_MISSING_PART[part]}: the readings of the unloaded sheet are not in them",
             remedy="give whole frames, or take the real part",
         )
 
@@ -105,7 +109,8 @@ def record_pairs(
     """Return frames of pairs as a recording, and the sensor type with their pattern.
 
     A frame has a row for each drive and a column for each measure pair; what the table does not hold is missing.
-    Columns that repeat a pair are averaged.
+    Columns that repeat a pair are averaged. A row of changes with a single reading in another unit is taken out: it
+    becomes one without a load.
 
     Parameters
     ----------
@@ -120,13 +125,22 @@ def record_pairs(
     drives, measures = _name_pairs(distinct.pairs)
     path, count = table.frames.path, len(table.frames.readings)
     cells_per_frame = len(drives) * len(measures)
-    if cells_per_frame > _MOST_READINGS or count * cells_per_frame > _MOST_NUMBERS:
+    most_cells = _MOST_DIAGONAL if measures_at_driven(distinct.pairs).all() else _MOST_CELLS
+    if cells_per_frame > most_cells:
         raise RecordingError(
-            f"{path}: {count} frames of {len(drives)} drive and {len(measures)} measure pairs are too many readings;"
-            f" a frame has at most {_MOST_READINGS}, all frames {_MOST_NUMBERS}",
-            remedy="give fewer rows at a time, or a pattern of fewer pairs",
+            f"{path}: {len(drives)} drive pairs × {len(measures)} measure pairs are {cells_per_frame} combinations;"
+            f" at most {most_cells} are imaged, however many of them are in the table",
+            remedy="leave out the columns of some drive or measure pairs",
+        )
+    if count * cells_per_frame > _MOST_NUMBERS:
+        raise RecordingError(
+            f"{path}: {count} rows of {len(drives)} drive pairs × {len(measures)} measure pairs; at most"
+            f" {_MOST_NUMBERS // cells_per_frame} rows are imaged at a time",
+            remedy="give fewer rows at a time",
         )
     cells = np.array([(drives.index((a, b)), measures.index((c, d))) for a, b, c, d in distinct.pairs.tolist()])
+
+    table, problems = _take_out_odd_rows(table, differences=differences)
 
     def block(rows: FrameTable) -> FrameBlock:
         voltages = np.zeros((len(rows.readings), len(drives), len(measures)))
@@ -146,12 +160,27 @@ def record_pairs(
         reference=None if table.rest is None else block(table.rest),
         still=not has_times and (differences or table.rest is not None),
         magnitudes_only=part is ComplexPart.MAGNITUDE,
+        problems=problems,
         clock="given" if has_times else "none",
         notes=tuple(_notes(table, distinct, sensor_type, part, differences=differences)),
         rows=True,
         differences=differences,
     )
     return recording, replace(sensor_type, pattern=DrivePattern(sensor_type.electrodes.count, drives, measures))
+
+
+def _take_out_odd_rows(table: PairFrames, *, differences: bool) -> tuple[PairFrames, tuple[RowProblem, ...]]:
+    """Replace rows of changes with a single reading in another unit by that of the unloaded sheet, and name them."""
+    if not differences and table.rest is None:
+        return table, ()  # readings that jump for a frame are found in time
+    unloaded = np.zeros(len(table.pairs)) if table.rest is None else table.rest.readings.mean(axis=0)
+    readings, problems = table.frames.readings.copy(), []
+    for row, column, ratio in find_odd_readings(readings - unloaded):
+        place = f"row {row + 1}, column {table.frames.columns[column]}"
+        words = f"{place}: {describe_other_unit(ratio, OTHERS_LET_EXPECT)}; the row is left out"
+        problems.append(RowProblem(row + 2, words, rejected=True))
+        readings[row] = unloaded
+    return replace(table, frames=replace(table.frames, readings=readings)), tuple(problems)
 
 
 def _name_pairs(pairs: Indices) -> tuple[Pairs, Pairs]:
@@ -186,6 +215,8 @@ def _notes(
     return [*notes, *list_unused_electrodes(distinct.pairs, sensor_type.electrodes.count)]
 
 
+#: Parts that differences do not have, in words.
+_MISSING_PART: Final = {ComplexPart.MAGNITUDE: "magnitude", ComplexPart.IN_PHASE: "in-phase part"}
 _PART_WORDS: Final = {
     ComplexPart.REAL: "their real parts",
     ComplexPart.MAGNITUDE: "their magnitudes",

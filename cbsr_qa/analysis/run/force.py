@@ -8,15 +8,24 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
+from cbsr_qa.analysis.run.compensation import (
+    LONG,
+    BorrowedKernels,
+    compensate_loads,
+    force_rises,
+    force_trace,
+    steady_s,
+)
 from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
-from cbsr_qa.analysis.run.force_kernels import StrengthTraces, compensate_loads, force_kernels, key_of, steady_s
+from cbsr_qa.analysis.run.force_kernels import StrengthTraces, Transients, force_kernels, key_of
 from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits.common_relaxation import TimedValues
 from cbsr_qa.calibration.force.inverse import ForceInverse, map_tables
-from cbsr_qa.calibration.force.learning import CalibrationLoads, LearnedForce, learn_force
+from cbsr_qa.calibration.force.learning import CalibrationLoads, LearnedForce, MapLearner, learn_force
 from cbsr_qa.calibration.force.sheet_pose import AS_PLACED, SheetPose, sheet_pose_of
 from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter, add_scatter
 from cbsr_qa.calibration.force.templates import TemplateBank, make_even_model, template_bank
+from cbsr_qa.calibration.sheet.response_map import learn_response
 from cbsr_qa.domain.errors import CbsrError, NumericsError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import ForceModel
@@ -142,6 +151,47 @@ def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[T
     return [strengths.change(load) for load in loads]
 
 
+def _choose_prior(run: RunObservation) -> tuple[MapLearner, BorrowedKernels | None]:
+    """Return what learns the map, from the run's loads alone or with its batch, and the batch's kernels."""
+    if run.settings.prior == "none":
+        return learn_response, None
+    from cbsr_qa.analysis.run.batch_prior import choose_batch_prior  # loads what few recipes need
+
+    return choose_batch_prior(run.settings)
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LongHolds:
+    """The longest holds of a run, which its kernels are learned from.
+
+    Parameters
+    ----------
+    hold_s, steady_s : how long they were held, and the time after the press at which they are evaluated.
+    rises, decays, forces : conductance under the hold and after it, and force; None without data.
+    """
+
+    hold_s: float
+    steady_s: float
+    rises: Transients
+    decays: Transients | None
+    forces: Transients | None
+
+
+def long_holds(run: RunObservation) -> LongHolds:
+    """Return the longest holds of a run. CbsrError if it has no load with a force, or no noise."""
+    of_run = run.derive(_RunForce)
+    longest_s = max(load.hold_s for load in of_run.loads)
+    loads = [load for load in of_run.loads if load.hold_s >= LONG * longest_s]
+    strengths = of_run.strengths()
+    return LongHolds(
+        longest_s,
+        float(np.mean([steady_s(run, load) for load in loads])),
+        strengths.rises(loads),
+        strengths.decays(loads),
+        force_rises(loads, [force_trace(run, load) for load in loads]),
+    )
+
+
 class _RunForce:
     """One run's loads with the data for comparison."""
 
@@ -160,6 +210,7 @@ class _RunForce:
         single_loads = [load for load in run.loads if load.force_N is not None and load.together == 1]
         self.loads = tuple(single_loads)
         self.data, self.sheet_pose = self._locate_on_sheet(self._data())
+        self.learn_map, self.borrowed = _choose_prior(run)
         self.at_s: float | None = None
         self.predicted = np.zeros(len(single_loads), dtype=np.bool_)
         if run.settings.transients == "predicted":
@@ -167,7 +218,7 @@ class _RunForce:
 
     def _compensate(self) -> None:
         """Extend short holds to the end of the longest ones; their loads get the force at that time."""
-        done = compensate_loads(self.run, self.loads, self.data, self.strengths())
+        done = compensate_loads(self.run, self.loads, self.data, self.strengths(), self.borrowed)
         self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
         self.loads = tuple(
             replace(load, force_N=float(force), force_stderr_N=float(stderr)) if predicted else load
@@ -236,6 +287,8 @@ class _RunForce:
         loads = list(compress(self.loads, which))
         filter_ = TemplateFilter(learned.model)
         loading, unloading = force_kernels(self.run, loads, self.data.place_mm[which], self.merging, filter_)
+        if self.borrowed is not None and self.predicted[which].all():
+            loading, unloading = self.borrowed.strength, self.borrowed.unloading
         held_to_s = float(np.mean([steady_s(self.run, load) for load in loads])) if self.at_s is None else self.at_s
         model = replace(learned.model, steady_s=held_to_s, loading=loading, unloading=unloading)
         return replace(learned, model=model)
@@ -248,6 +301,7 @@ class _RunForce:
             self.line,
             self.head,
             radius_mm=self.run.record.sensor_type.radius_mm,
+            learn_map=self.learn_map,
         )
         return replace(learned, predicted=tuple(self.predicted[which].tolist()))
 

@@ -1,20 +1,20 @@
 """Recorded data through the same analysis and to the same report as a run."""
 
-import hashlib
-from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field, replace
+from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.recording.analysis import DEFAULT_RECONSTRUCTION, AnalysisChoices, analyse_recording
+from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.reading import find_format, run_guarded
 from cbsr_qa.analysis.recording.table_files import TableForm, read_table_recording
 from cbsr_qa.app.analyse.outcome import Analysed, ReadRecording
+from cbsr_qa.app.analyse.reference import with_reference
+from cbsr_qa.app.analyse.request import AnalyseRequest, digest_request
 from cbsr_qa.config.documents import DocumentKind, list_shipped
-from cbsr_qa.config.loader import load_sensor_type
+from cbsr_qa.config.loader import load_scanned_type, load_sensor_type
 from cbsr_qa.config.paths import reports_folder
 from cbsr_qa.domain.errors import (
     CbsrError,
@@ -23,11 +23,8 @@ from cbsr_qa.domain.errors import (
     PluginError,
     RecordingError,
     RefusedError,
-    RowProblem,
 )
-from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.plan.plan import PluginChoice
-from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, Recording, ScanKind
+from cbsr_qa.domain.readings.frames import ReadOptions, Recording
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.plugin.creation import create_plugin
@@ -36,142 +33,10 @@ from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction, RecordingFormat
 from cbsr_qa.report.render import render_recording, report_name, write_report
 from cbsr_qa.report.section import report_sections
-from cbsr_qa.system.foreign import open_foreign
 from cbsr_qa.system.words import echo
-
-#: Ratio of the readings' sizes. Rods in a tank change it by 8 %, a sheet measured again differs by 16 %.
-_MOST_SCALE: Final = 1.5
-#: Correlation of the frames. Two rods in a tank leave 0.98; a chest against a tank, by one instrument, has 0.85.
-_LEAST_ALIKE: Final = 0.9
-#: Largest difference of the offsets of counts, relative to the size of the readings.
-_MOST_OFFSET: Final = 0.5
-#: Tolerance within which two stated drive currents are the same.
-_SAME_CURRENT: Final = 0.1
-
-_REMEDY: Final = "name a recording of the same domain, empty, by the same instrument with the same settings"
-
-
-def with_reference(recording: Recording, empty: Recording) -> Recording:
-    """Return a recording that takes its reference from another one.
-
-    Parameters
-    ----------
-    recording, empty : recordings as read by their formats.
-
-    Raises
-    ------
-    RecordingError
-        If instrument or scale differ, so that every reading would have "changed".
-    """
-    name = f"{empty.path.name}:{empty.dataset}" if empty.dataset else empty.path.name
-    difference = _difference(recording, empty)
-    if difference:
-        raise RecordingError(f"{name} cannot be the reference of {recording.path.name}: {difference}", remedy=_REMEDY)
-    reference_problems = tuple(RowProblem(p.line, f"reference {name}: {p.what}", False) for p in empty.problems)
-    return replace(
-        recording,
-        reference=empty.frames,
-        problems=(*recording.problems, *reference_problems),
-        notes=(*recording.notes, f"changes are against {'the mean of ' if len(empty.frames) > 1 else ''}{name}"),
-        simulated=(*recording.simulated, *(f"in the reference {name}: {what}" for what in empty.simulated)),
-    )
-
-
-def _difference(recording: Recording, empty: Recording) -> str:
-    """Return why two recordings cannot be compared; empty if they can."""
-    own_frames, empty_frames = recording.frames, empty.frames
-    if empty_frames.voltages.shape[1:] != own_frames.voltages.shape[1:] or empty.scan is not recording.scan:
-        return f"its frames are {_shape(empty)}, not {_shape(recording)}"
-    if empty_frames.unit is not own_frames.unit:
-        return f"its readings are in {empty_frames.unit.value}, not in {own_frames.unit.value}"
-    if empty.magnitudes_only is not recording.magnitudes_only:
-        held = {True: "absolute values", False: "values with their sign"}
-        return f"it holds {held[empty.magnitudes_only]}, not {held[recording.magnitudes_only]}"
-    return _metadata_difference(recording, empty) or _scale_difference(recording, empty)
-
-
-def _metadata_difference(recording: Recording, empty: Recording) -> str:
-    current_A, other_A = recording.frames.current_A, empty.frames.current_A
-    if recording.layout and empty.layout and empty.layout != recording.layout:
-        return "its electrodes are numbered or placed in another way"
-    if recording.sensor_type and empty.sensor_type and empty.sensor_type != recording.sensor_type:
-        return f"it is of sensor type {empty.sensor_type}, not {recording.sensor_type}"
-    if current_A and other_A and abs(other_A / current_A - 1) > _SAME_CURRENT:
-        return f"its drive current is {other_A:.3g} A, not {current_A:.3g} A"
-    return ""
-
-
-def _shape(recording: Recording) -> str:
-    drives, measures = recording.frames.voltages.shape[1:]
-    return "one row of driven pairs" if recording.scan is ScanKind.DRIVEN_PAIRS else f"{drives} × {measures} readings"
-
-
-def _scale_difference(recording: Recording, empty: Recording) -> str:
-    """Compare level, size and pattern of the typical frames, over the readings they share."""
-    missing = ReadingFlag.MISSING.value
-    held = ((recording.frames.flags & missing) == 0).any(axis=0) & ((empty.frames.flags & missing) == 0).any(axis=0)
-    own_readings, empty_readings = (np.median(each.frames.voltages, axis=0)[held] for each in (recording, empty))
-    if own_readings.size == 0:
-        return "they have no reading in common"
-    offset, other_offset = (
-        (0.0, 0.0)
-        if recording.magnitudes_only
-        else (float(np.median(own_readings)), float(np.median(empty_readings)))
-    )
-    size, other_size = _size(own_readings - offset), _size(empty_readings - other_offset)
-    if size == 0.0:
-        return ""  # an unconnected recording is refused as such
-    if other_size == 0.0:
-        return f"all its readings are {empty_readings[0]:.4g} {empty.frames.unit.value}: nothing was connected"
-    if not 1 / _MOST_SCALE <= other_size / size <= _MOST_SCALE:
-        return f"its readings are {other_size / size:.3g} times as large"
-    if abs(other_offset - offset) > _MOST_OFFSET * max(size, other_size):
-        unit = recording.frames.unit.value
-        return f"its readings lie about {other_offset:.4g} {unit}, not {offset:.4g} {unit}"
-    correlation = float((own_readings - offset) @ (empty_readings - other_offset)) / (
-        size * other_size * own_readings.size
-    )
-    return "" if correlation >= _LEAST_ALIKE else f"its readings have another pattern (correlation {correlation:.2f})"
-
-
-def _size(readings: Array) -> float:
-    return float(np.sqrt(np.mean(readings**2)))
-
 
 #: Called with each step, in words.
 Tell = Callable[[str], None]
-
-
-@dataclass(frozen=True, slots=True)
-class AnalyseRequest:
-    """What to analyse, and how.
-
-    Parameters
-    ----------
-    format : name of a recording plugin; None to let the plugins recognise the file.
-    sensor_type : file or shipped name; None for the one the recording states, else the nominal disc.
-    dataset : one of several data sets in a file.
-    reference : file, and a data set in it, with the unloaded domain; its format is recognised separately.
-    correct_carry_over : None to decide by the estimate.
-    report : whether to write a report.
-    reconstruction, options : plugin that images the events (None for the usual one), and its options.
-    table : how a table of frames is read; None if the file is a recording.
-    """
-
-    format: str | None = None
-    sensor_type: str | None = None
-    dataset: str | None = None
-    reference: tuple[Path, str | None] | None = None
-    correct_carry_over: bool | None = None
-    report: bool = True
-    reconstruction: str | None = None
-    options: Mapping[str, Any] = field(default_factory=dict)
-    table: TableForm | None = None
-
-    @property
-    def chosen(self) -> PluginChoice:
-        name = DEFAULT_RECONSTRUCTION if self.reconstruction is None else self.reconstruction
-        return PluginChoice(name, self.options)
 
 
 def analyse_file(path: Path, request: AnalyseRequest, *, tell: Tell = lambda said: None) -> Analysed:
@@ -266,7 +131,7 @@ def _read_table(path: Path, request: AnalyseRequest, form: TableForm) -> tuple[R
             raise RefusedError(f"{name} is for recordings; {path.name} is a table with --pattern", remedy=remedy)
     if request.sensor_type is None:
         raise RefusedError("--pattern without --sensor-type", remedy="name a sensor type, or its file")
-    return read_table_recording(path, form, load_sensor_type(request.sensor_type).value)
+    return read_table_recording(path, form, load_scanned_type(request.sensor_type).value)
 
 
 def analyse_frames(
@@ -360,25 +225,6 @@ def _report(
     if not request.report:
         return None, []
     sections, warnings = report_sections((), plugins)
-    file = reports_folder() / report_name(path.stem, result.recording.dataset, _request_digest(path, request))
+    file = reports_folder() / report_name(path.stem, result.recording.dataset, digest_request(path, request))
     write_report(file, render_recording(result, sections, warnings=warnings))
     return file, warnings
-
-
-def _request_digest(path: Path, request: AnalyseRequest) -> str:
-    """Return eight digits of content and request, so that reports do not overwrite each other."""
-    sha = hashlib.sha256()
-    table = request.table
-    others = [] if request.reference is None else [request.reference[0]]
-    others += [] if table is None else [each for each in (table.pattern, table.rest) if each is not None]
-    for each in (path, *others):
-        with open_foreign(each) as file:
-            sha.update(hashlib.file_digest(file, "sha256").digest())
-    dataset = None if request.reference is None else request.reference[1]
-    settings: tuple[object, ...] = (request.format, request.sensor_type, dataset, request.correct_carry_over)
-    if request.reconstruction is not None or request.options:
-        settings = (*settings, request.chosen.name, sorted(request.options.items()))
-    if table is not None:
-        settings = (*settings, table.differences, table.rest is None, table.complex_part)
-    sha.update(repr(settings).encode())
-    return sha.hexdigest()[:8]

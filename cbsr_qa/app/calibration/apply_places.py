@@ -80,6 +80,7 @@ class AppliedPlaces:
     ----------
     q68, q95 : the region of that probability is dᵀ Σ⁻¹ d ≤ q, with d the distance from a frame's place and Σ its
         covariance; null where the calibration states none.
+    force_error : what errors of force include; None without forces.
     """
 
     calibration: Path
@@ -87,6 +88,7 @@ class AppliedPlaces:
     q68: float
     q95: float | None
     frames: tuple[FramePlace, ...]
+    force_error: str | None = None
 
 
 def apply_to_rows(estimator: Estimator, calibration: Path, readings: Path, request: ApplyRequest) -> AppliedPlaces:
@@ -119,7 +121,8 @@ def apply_to_rows(estimator: Estimator, calibration: Path, readings: Path, reque
     else:
         touches = _estimate_table(estimator, readings, request.pattern, request)
     frames = tuple(_frame(touches, row) for row in range(len(touches)))
-    return AppliedPlaces(calibration, readings, regions.q68, regions.q95, frames)
+    force_error = None if Ability.FORCE in estimator.lacks else estimator.force_error
+    return AppliedPlaces(calibration, readings, regions.q68, regions.q95, frames, force_error)
 
 
 def _estimate_recording(estimator: Estimator, calibration: Path, path: Path, request: ApplyRequest) -> Touches:
@@ -197,7 +200,9 @@ def places_outcome(applied: AppliedPlaces, output: Path | None) -> CommandOutcom
     count = len(applied.frames)
     in_model_count = sum(frame.in_model for frame in applied.frames)
     printed = () if output is None else (("Places", str(output)),)
-    facts = (("Like what calibrated", f"{in_model_count} of {plural(count, 'frame')}"),)
+    facts = [("Like what calibrated", f"{in_model_count} of {plural(count, 'frame')}")]
+    if applied.force_error is not None:
+        facts.append(("Errors of force include", applied.force_error))
     outcome = answer(applied, "applied", plural(count, "frame"), facts, printed)
     return outcome if output is not None else _with_table(outcome)
 

@@ -1,6 +1,6 @@
 """``cbsr-qa calibrate``: a calibration from labelled presses, wherever they were made."""
 
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -11,11 +11,13 @@ import numpy as np
 from cbsr_qa.analysis.recording.press_files import PressFiles, read_labelled_presses
 from cbsr_qa.app.calibration.file import check_free
 from cbsr_qa.calibration.file.hdf5 import write_calibration
-from cbsr_qa.calibration.presses.inputs import LabelledPresses
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, find_outline
 from cbsr_qa.calibration.presses.issue import Identity, issue_from_presses
 from cbsr_qa.calibration.presses.learning import PressesLearned, learn_presses
+from cbsr_qa.calibration.presses.tables import source_file
+from cbsr_qa.config.loader import load_standards
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.plan.standards import describe_force_error
+from cbsr_qa.domain.plan.standards import ReferenceStandard, StandardRole, describe_force_error, find_doubtful_dates
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.press_calibration import (
     PRESS_QUANTITIES,
@@ -31,6 +33,10 @@ from cbsr_qa.store.types import IdSource
 
 #: Rows left out that a terminal shows.
 _MOST_ROWS: Final = 10
+#: Points of a drawn edge.
+_EDGE_POINTS: Final = 401
+#: Distance of electrode numbers from the electrodes, of the sheet's radius.
+_NUMBERS_BEYOND: Final = 0.13
 
 
 @dataclass(frozen=True, slots=True)
@@ -137,6 +143,8 @@ class PressesCalibrated:
     used, left_out : presses that it was, and was not, learned from; rows are counted from 1 below the header.
     explained : share of the readings' changes that the modelled sheet explains.
     place_learned : whether presses left out are missed by clearly less than by guessing.
+    force_error : what errors of force include.
+    standards : reference standards that are stated.
     """
 
     calibration: Path
@@ -150,32 +158,51 @@ class PressesCalibrated:
     size_bytes: int
     place_learned: bool
     labels: Labels
+    force_error: str
+    standards: tuple[ReferenceStandard, ...]
 
 
 def calibrate_from_presses(
-    files: PressFiles, to: Path, *, tell: Callable[[str], None] = lambda stage: None
+    files: PressFiles,
+    to: Path,
+    *,
+    standards: Path | None = None,
+    tell: Callable[[str], None] = lambda stage: None,
 ) -> CommandOutcome[PressesCalibrated]:
     """Calibrate places from labelled presses and write the calibration.
 
     Parameters
     ----------
     to : calibration file to write; must not exist.
+    standards : file with the reference standards that the forces are traced to, or of a station that states them.
 
     Raises
     ------
     RefusedError
-        If a table, the pattern, the sensor type or the output path cannot be used; nothing is written then.
+        If a table, the pattern, the sensor type, the standards or the output path cannot be used; nothing is written
+        then.
     """
     check_free(to)
+    stated = () if standards is None else load_standards(standards).value
     tell("reading the tables")
     labelled, sources = read_labelled_presses(files)
+    if standards is not None:
+        sources = (*sources, source_file("standards", standards))
     identity = Identity(
         IdSource(lambda: datetime.now(UTC)).new(), datetime.now(UTC).isoformat(timespec="seconds"), sources
     )
     learned = learn_presses(labelled, tell=tell)
-    issued = issue_from_presses(identity, labelled, learned)
+    doubts = tuple(_doubt_standards(stated, learned))
+    issued = issue_from_presses(identity, labelled, replace(learned, findings=(*learned.findings, *doubts)), stated)
     write_calibration(to, issued)
     return replace(_outcome(issued, learned, to), sections=_sections(labelled, learned))
+
+
+def _doubt_standards(standards: tuple[ReferenceStandard, ...], learned: PressesLearned) -> Iterator[str]:
+    """Yield what is odd about the stated standards."""
+    yield from find_doubtful_dates(standards, datetime.now(UTC).date())
+    if standards and "force" not in learned.quantities:
+        yield "the presses have no force_N: the stated standards are kept, and nothing depends on them"
 
 
 def _outcome(issued: PressCalibration, learned: PressesLearned, file: Path) -> CommandOutcome[PressesCalibrated]:
@@ -190,6 +217,8 @@ def _outcome(issued: PressCalibration, learned: PressesLearned, file: Path) -> C
         digest=issued.digest,
         size_bytes=file.stat().st_size,
         place_learned=learned.place_learned,
+        force_error=describe_force_error(issued.standards),
+        standards=issued.standards,
         labels=Labels(None, None)
         if learned.row_order is None
         else Labels(learned.row_order.words, learned.row_order.gain_mm),
@@ -223,7 +252,9 @@ def press_facts(issued: PressCalibration) -> list[tuple[str, str]]:
             if low is not None and high is not None:
                 facts.append((f"Intervals hold the {name}", _format_coverage(low, high)))
     if issued.force is not None:
-        facts.append(("Errors of force include", describe_force_error(())))
+        facts.append(("Errors of force include", describe_force_error(issued.standards)))
+    for head in (standard for standard in issued.standards if standard.role == StandardRole.INDENTER):
+        facts.append(("Head", f"{head.words()}; no force of this calibration depends on it"))
     if issued.registration.trusted:
         explained = f"{100 * issued.registration.signal_share:.0f} % of the readings' changes"
         facts.append(("Explained by the model", explained))
@@ -281,8 +312,8 @@ def _sections(labelled: LabelledPresses, learned: PressesLearned) -> tuple[Secti
 
 
 def _sheet_mm(sensor_type: SensorType, pose: SheetRegistration) -> dict[str, Array]:
-    angle = np.linspace(0, 2 * np.pi, 181)
-    edge = pose.radius_mm * np.column_stack([np.cos(angle), np.sin(angle)])
+    curve = find_outline(sensor_type, pose).curve
+    edge = curve.points_at(np.linspace(0, curve.perimeter, _EDGE_POINTS))
     electrodes = sensor_type.electrodes.positions_mm()
-    beyond = 1.09 * pose.radius_mm * electrodes / np.linalg.norm(electrodes, axis=1, keepdims=True)
+    beyond = electrodes * (1 + _NUMBERS_BEYOND * pose.radius_mm / np.linalg.norm(electrodes, axis=1, keepdims=True))
     return {"edge_mm": pose.to_press_frame_mm(edge), "numbers_mm": pose.to_press_frame_mm(beyond)}

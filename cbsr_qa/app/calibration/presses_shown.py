@@ -5,6 +5,7 @@ from pathlib import Path
 
 from cbsr_qa.app.calibration.calibrate import HeldOut, press_facts
 from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.plan.standards import ReferenceStandard, describe_force_error
 from cbsr_qa.domain.results.press_calibration import LeftOutPress, PressCalibration, SheetRegistration, SourceFile
 from cbsr_qa.domain.results.report import Banner, CommandOutcome
 from cbsr_qa.report.page import answer
@@ -18,6 +19,8 @@ class ShownPressCalibration:
     ----------
     made_by : states that no station made it.
     sources : files it was made from, with their SHA-256.
+    force_error : what errors of force include.
+    standards : reference standards that the presses stated.
     readings : distinct ones; ``rest`` whether changes refer to its own unloaded frames.
     """
 
@@ -35,6 +38,8 @@ class ShownPressCalibration:
     left_out: tuple[LeftOutPress, ...]
     registration: SheetRegistration
     held_out: HeldOut
+    force_error: str
+    standards: tuple[ReferenceStandard, ...]
     findings: tuple[str, ...]
 
 
@@ -47,6 +52,7 @@ def press_calibration_outcome(path: Path, held: PressCalibration) -> CommandOutc
         readings=len(held.pairs),
         registration=held.registration,
         held_out=HeldOut.from_calibration(held),
+        force_error=describe_force_error(held.standards),
     )
     facts = [
         ("Issued at", held.issued_at),

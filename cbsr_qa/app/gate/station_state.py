@@ -1,11 +1,12 @@
 """The station: its golden sensor, control charts, dates of instruments, released files, and what waits to be sent."""
 
-from datetime import date, timedelta
+from datetime import timedelta
 from typing import Final
 
 from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.config.merging import FileContent, list_files
+from cbsr_qa.domain.plan.standards import find_doubtful_dates, past_due
 from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
 
@@ -13,6 +14,8 @@ from cbsr_qa.store.repository import Repository
 _CLOCKS: Final = timedelta(minutes=1)
 #: Beginning of the subject of a check's lines about the golden sensor.
 _SUBJECT: Final = "golden sensor"
+#: What to do about a certificate of the future.
+CORRECT_DATE: Final = "correct its date in the station file, or set the computer's clock"
 
 
 def golden_measured(asked: Asked) -> Finding:
@@ -68,26 +71,25 @@ def charts_in_control(asked: Asked) -> Finding:
 
 
 def instruments_in_date(asked: Asked) -> Finding:
-    """Look for instruments and reference standards whose date in the station file has passed."""
+    """Look for instruments and standards whose date in the station file has passed, and for certificates of later."""
     station, today = asked.configuration.station, asked.now.date()
     due_by_name = {
         f"{instrument.role} ({instrument.driver})": instrument.calibration_due
         for instrument in station.instruments
         if instrument.calibration_due
     }
-    due_by_name |= {f"the {s.role_words} (certificate {s.certificate})": s.due for s in station.standards}
-    past_due_words = [f"{name} was due on {due}" for name, due in due_by_name.items() if past_due(due, today)]
-    if past_due_words:
-        remedy = "have it calibrated and give the new dates in the station file"
-        return Finding(False, f"the calibration of {', '.join(past_due_words)}", remedy)
+    doubtful_words = [
+        f"the calibration of {name} was due on {due}" for name, due in due_by_name.items() if past_due(due, today)
+    ]
+    doubtful_words += find_doubtful_dates(station.standards, today)
+    due_by_name |= {standard.role: standard.due for standard in station.standards}
+    if doubtful_words:
+        is_late = any(past_due(due, today) for due in due_by_name.values())
+        remedy = "have it calibrated and give the new dates in the station file" if is_late else CORRECT_DATE
+        return Finding(False, ", ".join(doubtful_words), remedy)
     if not due_by_name:
         return Finding(True, "no instrument states a calibration_due")
     return Finding(True, f"no instrument is due before {min(due_by_name.values())}")
-
-
-def past_due(calibration_due: str | None, today: date) -> bool:
-    """Whether an instrument is past its calibration date; the day itself is not."""
-    return calibration_due is not None and date.fromisoformat(calibration_due) < today
 
 
 def files_released(asked: Asked) -> Finding:

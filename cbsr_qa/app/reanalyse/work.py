@@ -7,7 +7,9 @@ from dataclasses import dataclass
 from functools import cache
 
 from cbsr_qa.analysis.evaluate import evaluate_run
-from cbsr_qa.config.loader import load_recipe
+from cbsr_qa.app.run.decisions import compare_decisions
+from cbsr_qa.config.loader import load_standards
+from cbsr_qa.config.merging import restore, restore_recipe
 from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.software import software_versions
@@ -64,10 +66,17 @@ def analyse_again(job: Job) -> Worked:
         return Worked(None, differing=differing, worker=worker)
     stages = Stages()
     try:
-        recipe = load_recipe(json.loads(job.recipe)).value
         with open_store(job.database, create=False) as store:
             record = store.runs.load(job.run)
-        conclusion = evaluate_run(record, recipe, plugins, stages)
+            configuration = store.runs.read_configuration(job.run)
+        content = json.loads(configuration)
+        # The batch's model is the run's own, whatever recipe is tried.
+        recipe = restore_recipe(content | {"recipe": json.loads(job.recipe)})
+        station = content.get("station", {})
+        standards = load_standards(station).value if station.get("standards") else ()
+        conclusion = evaluate_run(record, recipe, plugins, stages, standards=standards)
+        with stages.stage("deciding again"):
+            decided = tuple(compare_decisions(record, restore(configuration), plugins)) if record.decisions else ()
     except CbsrError as error:
         return Worked(None, error.reason, worker=worker, peak_mb=_peak_mb())
     observation = conclusion.observation
@@ -80,7 +89,7 @@ def analyse_again(job: Job) -> Worked:
         software=job.software,
         verdict=conclusion.verdict,
         measurements=conclusion.measurements,
-        warnings=conclusion.warnings,
+        warnings=(*conclusion.warnings, *decided),
         noise_weighting="" if observation is None else observation.settings.noise_weighting,
         weight_ratio=None if observation is None else observation.weight_ratio,
         compute_s=stages.table(),

@@ -81,7 +81,7 @@ def _conclude(
         record = store.runs.load_with_file_check(run)
     recipe, history, threads = configuration.recipe, store.changes.read_history(record), threading.enumerate()
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
-    conclusion = evaluate_run(record, recipe, plugins, stages)
+    conclusion = evaluate_run(record, recipe, plugins, stages, standards=configuration.station.standards)
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)
     charts = charts_after(store, record.identity.station, record.identity, conclusion.measurements)

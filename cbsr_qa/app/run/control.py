@@ -1,6 +1,6 @@
 """A run as others see it: it holds its station, reports its state, and takes requests."""
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Collection, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
 from typing import Self
@@ -66,7 +66,7 @@ class Control:
         self._notify()
         self.console.begin(run)
 
-    def set_plan(self, plan: Plan, done: frozenset[LoadKey]) -> None:
+    def set_plan(self, plan: Plan, done: Collection[LoadKey]) -> None:
         """State what will be pressed, including what an earlier session has pressed."""
         phases = schedule(plan)
         presses = [
@@ -75,7 +75,9 @@ class Control:
             for step in phase.steps
             if isinstance(step.step, Press) and step.load is not None
         ]
-        self.status.plan({phase.index: phase.name for phase in phases}, presses, done)
+        most = sum(phase.loads if phase.goal is None else phase.goal.at_most for phase in phases)
+        names = {phase.index: phase.name for phase in phases}
+        self.status.plan(names, presses, done, most if plan.decides else None)
         self._notify()
 
     @contextmanager

@@ -1,5 +1,6 @@
 """The outcome of ``cbsr-qa run``: the verdict, measurements, files and the next command."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
@@ -16,7 +17,7 @@ from cbsr_qa.domain.results.report import CommandOutcome
 from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import ConfigurationChange, EarlierRun, SensorHistory, VerdictOverride
 from cbsr_qa.domain.run.gate import GateAnswer
-from cbsr_qa.domain.run.run import ChainState
+from cbsr_qa.domain.run.run import ChainState, PressDecided, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.document import ChosenParameter
 from cbsr_qa.report.gate import gate_words
@@ -144,6 +145,30 @@ class PastRuns:
         return cls(len(history.tries) + 1, tuple(map(PastRun.from_earlier_run, history.earlier)))
 
 
+@dataclass(frozen=True, slots=True)
+class DecidedEnd:
+    """End of a phase that decides between its presses.
+
+    Parameters
+    ----------
+    end : ``"target"`` if the upper bound of the force error reached the target, else ``"most presses"``.
+    expected_N, upper_N : force error at the end, expected and its upper bound; None if nothing could be learned.
+    floor_N : what would remain however many presses.
+    """
+
+    phase: str
+    presses: int
+    end: str
+    expected_N: float | None
+    upper_N: float | None
+    floor_N: float | None
+
+    @classmethod
+    def from_event(cls, made: PressDecided, record: RunRecord) -> Self:
+        name = next(phase.name for phase in record.phases if phase.index == made.phase)
+        return cls(name, made.pressed, made.why, made.expected_N, made.upper_N, made.floor_N)
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RunOutcome:
     """The outcome of a run.
@@ -156,7 +181,11 @@ class RunOutcome:
     material_why : why there is no material file; empty if the recipe characterises none.
     warnings : warnings of the result and of writing the files.
     gate : answers of the checks before the run, and of those asked again when it was resumed.
-    station_s : time the sensor occupied the station.
+    station_s, station_minutes : time the sensor occupied the station.
+    presses : number of presses of all phases.
+    error_by_minute : station time [min] and expected force error [N] at each decision between presses; empty for
+        recipes that decide nothing.
+    decided : why each phase that decides between its presses ended.
     compute_s : time of computing until the result was stored; files are written after it.
     """
 
@@ -185,6 +214,10 @@ class RunOutcome:
     simulated: tuple[str, ...]
     seed: int
     station_s: float
+    station_minutes: float
+    presses: int
+    error_by_minute: tuple[tuple[float, float], ...]
+    decided: tuple[DecidedEnd, ...]
     compute_s: float
     result: Annotated[InstanceOf[RunResult], Field(exclude=True)]
 
@@ -228,6 +261,10 @@ class RunOutcome:
             simulated=record.identity.simulated,
             seed=seed,
             station_s=record.station_s,
+            station_minutes=round(record.station_s / 60, 3),
+            presses=record.presses,
+            error_by_minute=record.error_by_minute,
+            decided=tuple(DecidedEnd.from_event(made, record) for made in record.decisions if made.ends),
             compute_s=sum(seconds for _, seconds in result.compute_s),
             result=result,
         )
@@ -240,6 +277,16 @@ class RunOutcome:
         return self.outcome.exit_code if self.end is EndReason.FINISHED and not unwritten else 3
 
 
+def _decided_facts(record: RunRecord) -> Iterator[tuple[str, str]]:
+    """What was decided between presses, and the force error as it fell."""
+    for made in record.decisions:
+        if made.ends:
+            yield "Presses", f"{made.pressed} chosen one by one; {made.end_words}"
+    if record.error_by_minute:
+        fell = ", ".join(f"{error_N:.2g} N at {minutes:.1f} min" for minutes, error_N in record.error_by_minute)
+        yield "Force error", f"expected {fell}"
+
+
 def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     """Lay out the outcome of a run for a terminal; its page is the report."""
     result, identity = tested.result, tested.result.record.identity
@@ -248,6 +295,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         *([("Sensor", tries)] if tries else []),
         ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s to compute the result"),
+        *_decided_facts(result.record),
         ("Stored rows", tested.chain.words),
         *([("Gate", gate)] if (gate := gate_words(tested.gate)) else []),
     ]

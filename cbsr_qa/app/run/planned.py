@@ -1,8 +1,8 @@
 """The outcome of ``cbsr-qa run --dry-run``: what a run would take, and whether the station allows it."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import TYPE_CHECKING, Annotated, Self
 
 from pydantic import Field, InstanceOf
 
@@ -18,6 +18,9 @@ from cbsr_qa.report.gate import gate_table
 from cbsr_qa.report.tables import duration, plural, text_table
 from cbsr_qa.station.dry_runs import DryRun
 
+if TYPE_CHECKING:
+    from cbsr_qa.station.forecasts import PressForecast
+
 
 @dataclass(frozen=True, slots=True)
 class PlannedPhase:
@@ -30,12 +33,53 @@ class PlannedPhase:
     frames: int
 
 
+@dataclass(frozen=True, slots=True)
+class PlannedDecisions:
+    """Presses of a phase that decides between them: fewest, those of a usual sheet, and most.
+
+    Parameters
+    ----------
+    least_s, expected_s, most_s : duration of the phase with so many presses.
+    floor_N : force error that remains however many presses, by noise, scatter and what all forces share.
+    reached : whether a usual sheet reaches the target.
+    """
+
+    phase: str
+    least: int
+    expected: int
+    most: int
+    least_s: float
+    expected_s: float
+    most_s: float
+    floor_N: float
+    reached: bool
+
+    @classmethod
+    def from_forecast(cls, forecast: "PressForecast", dry: DryRun) -> Self:
+        phase = next(phase for phase in dry.phases if phase.scheduled.index == forecast.phase)
+        least_s, expected_s, most_s = (
+            round(phase.duration_with_s(count), 3) for count in (forecast.least, forecast.expected, forecast.most)
+        )
+        durations_s = {"least_s": least_s, "expected_s": expected_s, "most_s": most_s}
+        return fill_from_object(
+            cls, forecast, phase=phase.scheduled.name, floor_N=round(forecast.floor_N, 4), **durations_s
+        )
+
+    @property
+    def words(self) -> str:
+        usual = f"{self.expected} on a usual sheet" if self.reached else "a usual sheet does not reach the target"
+        return f"{self.least} to {self.most}, {usual}; {self.floor_N:.2g} N remain however many"
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class PlannedRun:
     """Cost of a run, whether the station allows it, and the sensor's earlier runs.
 
     Parameters
     ----------
+    duration_s, least_s, expected_s : station time; of a recipe that decides between presses with the most presses,
+        the fewest, and those of a usual sheet.
+    decides : presses of each phase that decides between them.
     spent_s : station time by kind of activity.
     peak_strain, peak_force_N : highest requested, and highest force expected.
     violations : every limit of the station that would be broken.
@@ -45,6 +89,9 @@ class PlannedRun:
     """
 
     duration_s: float
+    least_s: float
+    expected_s: float
+    decides: tuple[PlannedDecisions, ...]
     spent_s: dict[str, float]
     phases: tuple[PlannedPhase, ...]
     loads: int
@@ -62,8 +109,14 @@ class PlannedRun:
 
     @classmethod
     def from_dry_run(
-        cls, dry: DryRun, history: SensorHistory, failed_plugins: Iterable[object], gate: tuple[GateAnswer, ...] = ()
+        cls,
+        dry: DryRun,
+        history: SensorHistory,
+        failed_plugins: Iterable[object],
+        gate: tuple[GateAnswer, ...] = (),
+        forecasts: "Sequence[PressForecast]" = (),
     ) -> Self:
+        decides = tuple(PlannedDecisions.from_forecast(forecast, dry) for forecast in forecasts)
         refused = None
         try:
             if (error := gate_refusal(gate)) is not None:
@@ -75,9 +128,18 @@ class PlannedRun:
             cls,
             dry,
             duration_s=round(dry.duration_s, 3),
+            least_s=round(dry.duration_s - sum(d.most_s - d.least_s for d in decides), 3),
+            expected_s=round(dry.duration_s - sum(d.most_s - d.expected_s for d in decides), 3),
+            decides=decides,
             spent_s={kind: round(seconds, 3) for kind, seconds in dry.spent},
             phases=tuple(
-                fill_from_object(PlannedPhase, p.scheduled, duration_s=round(p.duration_s, 3), frames=p.frames)
+                fill_from_object(
+                    PlannedPhase,
+                    p.scheduled,
+                    duration_s=round(p.duration_s, 3),
+                    loads=p.presses,
+                    frames=p.frames,
+                )
                 for p in dry.phases
             ),
             travel_mm=round(dry.travel_mm, 1),
@@ -94,6 +156,9 @@ class PlannedRun:
 def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     """Lay out a dry run; the exit code is 2 if the run would be refused."""
     time = duration(planned.dry.duration_s)
+    if planned.decides:
+        least, expected = duration(planned.least_s), duration(planned.expected_s)
+        time = f"{least} to {time} ({expected} on a usual sheet)"
     banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
     if planned.refused is not None:
         reasons = (
@@ -105,7 +170,8 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     spent = ", ".join(f"{kind} {duration(seconds)}" for kind, seconds in planned.dry.spent)
     peak_words = f"{100 * planned.peak_strain:g} % strain and {planned.dry.peak_force_N:.3g} N"
     facts = [
-        ("Station time", f"{time} ({spent})"),
+        ("Station time", f"{time}; at most {spent}" if planned.decides else f"{time} ({spent})"),
+        *((f"Presses of {decides.phase}", decides.words) for decides in planned.decides),
         ("Loads", f"{planned.loads}, up to {peak_words} expected"),
         ("Frames", str(planned.frames)),
         ("Travel", f"{planned.dry.travel_mm / 1000:.2f} m"),

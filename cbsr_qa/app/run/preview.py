@@ -51,12 +51,12 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     answers = ask_before(replace(to_gate, preview=True), checked, plugins)
     control = Control.from_request(configuration, to_gate, _OfDryRun(attended=attended))
     with stoppable_outside_steps(), Session(configuration, plugins, control) as session:
-        dry = session.walk()
+        dry, forecasts = session.walk(), session.forecasts
     sensor = SensorIdentity(request.serial, request.batch, configuration.sensor_type.name)
     recipe = configuration.recipe.name
     with open_existing(to_gate.database) or nullcontext() as store:
         history = SensorHistory(sensor, recipe) if store is None else store.sensors.read_history(sensor, recipe)
-    return PlannedRun.from_dry_run(dry, history, plugins.failures, answers)
+    return PlannedRun.from_dry_run(dry, history, plugins.failures, answers, forecasts)
 
 
 def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -> CommandOutcome[GateShown]:

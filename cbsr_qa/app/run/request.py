@@ -5,6 +5,7 @@ from collections.abc import Iterator
 from contextlib import nullcontext
 from dataclasses import dataclass, field
 from itertools import count
+from pathlib import Path
 from typing import NamedTuple, Self
 
 from cbsr_qa.app.gate.request import GateRequest, Override
@@ -31,6 +32,7 @@ class RunRequest:
     ----------
     override : override of the gate's refusals.
     golden : whether it measures the golden sensor of a station check.
+    batch_model : file of the batch's model, for recipes that take it as prior; None for the newest of the batch.
     """
 
     station: str
@@ -45,6 +47,7 @@ class RunRequest:
     why: str = ""
     override: Override = field(default_factory=Override)
     golden: bool = False
+    batch_model: Path | None = None
 
     def validate(self) -> Self:
         """Return itself. Raise ConfigError if serial, batch, operator, reason or override is not allowed."""
@@ -56,8 +59,8 @@ class RunRequest:
         return self
 
     def configuration(self, seed: int, plugins: Plugins | None = None) -> Configuration:
-        """Load and merge the files. Raise ConfigError if one is missing or wrong."""
-        return configure(
+        """Load and merge the files. RefusedError if one is missing or wrong, also the batch's model."""
+        configuration = configure(
             self.station,
             self.recipe,
             sensor_type=self.sensor_type,
@@ -65,6 +68,17 @@ class RunRequest:
             seed=seed,
             plugins=plugins,
         )
+        takes_batch = configuration.recipe.analysis.prior == "batch"
+        if not takes_batch and self.batch_model is None:
+            return configuration
+        if not takes_batch:
+            raise ConfigError(
+                f"recipe {configuration.recipe.name!r} takes no batch as prior, and --batch-model is given",
+                remedy='leave it out, or set prior = "batch" under [analysis] of the recipe',
+            )
+        from cbsr_qa.app.run.batch_model import add_prior  # loads what few recipes need
+
+        return add_prior(configuration, self.batch, self.batch_model, database_url(self.database))
 
 
 class CheckedRequest(NamedTuple):

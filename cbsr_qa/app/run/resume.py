@@ -135,6 +135,7 @@ def _continue_run(
         store.runs.list_ended_phases(run),
         store.runs.find_resume_time_s(run),
         store.runs.count_prompts(run),
+        store.runs.load(run) if plan_of(configuration, plugins).decides else None,
     )
     with (
         naming_removed(stored, identity),

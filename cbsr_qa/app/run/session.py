@@ -5,7 +5,7 @@ from contextlib import suppress
 from dataclasses import dataclass
 from datetime import timedelta
 from types import TracebackType
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 from cbsr_qa.app.command_hints import resume_command
 from cbsr_qa.app.run.conclusion import conclude_run, concluding
@@ -24,6 +24,7 @@ from cbsr_qa.domain.run.run import (
     RunEnded,
     RunEvent,
     RunIdentity,
+    RunRecord,
     RunStarted,
 )
 from cbsr_qa.domain.run.states import EndReason
@@ -32,7 +33,7 @@ from cbsr_qa.report.tables import duration
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.dry_runs import DryRun, dry_run
 from cbsr_qa.station.event_sinks import EventSinks
-from cbsr_qa.station.execution import execute
+from cbsr_qa.station.execution import Decider, execute
 from cbsr_qa.station.interrupts import on_stderr
 from cbsr_qa.station.limits import check_samplers
 from cbsr_qa.station.plan import LoadKey
@@ -40,6 +41,9 @@ from cbsr_qa.station.prompts import OperatorPrompt
 from cbsr_qa.station.setup import open_station, plan_of, station_clock
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.clock import Stages, WallWatch
+
+if TYPE_CHECKING:
+    from cbsr_qa.station.forecasts import PressForecast
 
 #: Largest correction of the clock that is made without a warning: networks correct it by seconds.
 _CLOCK_MOVED: Final = timedelta(minutes=1)
@@ -51,16 +55,18 @@ class Done:
 
     Parameters
     ----------
-    loads : phase and index of each finished press.
+    loads : phase and index of each finished press, in the order of pressing.
     phases : indices of finished phases.
     until_s : start of this session on the run's time line [s].
     prompts : number of prompts that were shown.
+    record : what is stored of the run; None for a new one.
     """
 
-    loads: frozenset[LoadKey] = frozenset()
+    loads: tuple[LoadKey, ...] = ()
     phases: frozenset[int] = frozenset()
     until_s: float = 0.0
     prompts: int = 0
+    record: RunRecord | None = None
 
 
 #: Of a new run.
@@ -82,6 +88,8 @@ class Session:
 
     Raises
     ------
+    ConfigError
+        When it is made, if the target of a phase that decides is below what noise allows.
     InstrumentError, ConfigError
         When it is entered, if an instrument does not answer, or differs from the station file.
     """
@@ -108,6 +116,8 @@ class Session:
         self._events = 0
         self._stages = Stages(control.tell)
         self._plan = plan_of(configuration, plugins)
+        self.forecasts: tuple[PressForecast, ...] = ()
+        self._decider = self._make_decider()
         self._clock = station_clock(configuration)
         self._progress = control.console.show_steps(len(self._plan.phases), self._clock, control.status)
         self._ask = (
@@ -115,6 +125,19 @@ class Session:
             if control.console.attended
             else None
         )
+
+    def _make_decider(self) -> Decider | None:
+        """What decides between presses, if a sequence of the recipe asks for it; forecast how many there will be."""
+        if not self._plan.decides:
+            return None
+        from cbsr_qa.station.decider import RunDecider  # loads what no other run needs
+        from cbsr_qa.station.decisions import PressDecisions
+        from cbsr_qa.station.forecasts import forecast_presses
+
+        decisions = PressDecisions.from_configuration(self.configuration, self._plan, self.plugins)
+        self.forecasts = forecast_presses(decisions, self._plan, self.configuration.recipe.analysis)
+        done = self._done
+        return RunDecider(decisions, self._plan, earlier=done.record, ended=done.phases, offset_s=done.until_s)
 
     def _ask_operator(self, text: str) -> str:
         with self._progress.pause():
@@ -203,6 +226,7 @@ class Session:
                     ended=self._done.phases,
                     ask=self._ask,
                     desk=control.desk,
+                    decider=self._decider,
                     warn=self.warnings.append,
                 )
         finally:

@@ -8,11 +8,12 @@ from typing import Any, Final
 import numpy as np
 
 from cbsr_qa.analysis.ring import RING, check_ring
-from cbsr_qa.app.gate.station_state import past_due
+from cbsr_qa.app.gate.station_state import CORRECT_DATE
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
+from cbsr_qa.domain.plan.standards import dated_later, past_due
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
@@ -155,7 +156,12 @@ class _Look:
         """Add a line for each reference standard of the station."""
         for standard in self.configuration.station.standards:
             line = _check_due(f"standards.{standard.role}", standard.due, self.configuration.station, today)
-            self._add(replace(line, said=f"{standard.words()}{line.said.removeprefix(f'due on {standard.due}')}"))
+            line = replace(line, said=f"{standard.words()}{line.said.removeprefix(f'due on {standard.due}')}")
+            if dated_later(standard.date, today):
+                outcome, policy = _judge_date(self.configuration.station, is_wrong=True)
+                said = f"{standard.words()}; dated {standard.date}, later than today, {today}; {policy}"
+                line = replace(line, outcome=outcome, said=said, remedy=CORRECT_DATE)
+            self._add(line)
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
@@ -293,14 +299,7 @@ def _check_due(subject: str, due: str, station: Station, today: date) -> CheckRe
     """Compare a calibration date of the station file with today."""
     days = (date.fromisoformat(due) - today).days
     is_late = past_due(due, today)
-    outcome = CheckOutcome.OK
-    if is_late:
-        outcome = (
-            CheckOutcome.FAILED
-            if station.gate.policy(GateCheck.CALIBRATION_DUE) is GatePolicy.REFUSE
-            else CheckOutcome.WARNING
-        )
-    policy = "runs are refused" if outcome is CheckOutcome.FAILED else "runs carry a warning"
+    outcome, policy = _judge_date(station, is_wrong=is_late)
     return CheckResult(
         "calibration due",
         outcome,
@@ -311,6 +310,15 @@ def _check_due(subject: str, due: str, station: Station, today: date) -> CheckRe
         remedy="have it calibrated and give the new date in the station file" if is_late else "",
         subject=subject,
     )
+
+
+def _judge_date(station: Station, *, is_wrong: bool) -> tuple[CheckOutcome, str]:
+    """Return the outcome of a date, and what a wrong one means for runs, in words."""
+    if not is_wrong:
+        return CheckOutcome.OK, ""
+    if station.gate.policy(GateCheck.CALIBRATION_DUE) is GatePolicy.REFUSE:
+        return CheckOutcome.FAILED, "runs are refused"
+    return CheckOutcome.WARNING, "runs carry a warning"
 
 
 def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:

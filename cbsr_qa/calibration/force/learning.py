@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from math import sqrt
-from typing import Final
+from typing import Final, Protocol
 
 import numpy as np
 
@@ -15,7 +15,8 @@ from cbsr_qa.calibration.force.templates import (
     make_even_model,
 )
 from cbsr_qa.calibration.sheet.baseline import predict_change
-from cbsr_qa.calibration.sheet.response_map import LARGEST_ERROR, ResponseMap, intercept_column, learn_response
+from cbsr_qa.calibration.sheet.learned_map import LearnedMap
+from cbsr_qa.calibration.sheet.response_map import LARGEST_ERROR, intercept_column, learn_response
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.loads import Indenter
@@ -64,6 +65,21 @@ class CalibrationLoads:
         return self.rows - share[:, None] * self.before, noise
 
 
+class MapLearner(Protocol):
+    """Learns a map from single loads, as :func:`~cbsr_qa.calibration.sheet.response_map.learn_response` does."""
+
+    def __call__(
+        self,
+        places_mm: Array,
+        log_response: Array,
+        variance: Array,
+        *,
+        radius_mm: float,
+        bend: Array | None = None,
+        bend_stderr: float = 1.0,
+    ) -> LearnedMap: ...
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class LearnedForce:
     """A force model with the data behind it.
@@ -81,7 +97,7 @@ class LearnedForce:
 
     model: ForceModel
     line: QuasiStatic
-    response: ResponseMap
+    response: LearnedMap
     refused: tuple[str, ...]
     ratio: Array
     ratio_stderr: Array
@@ -97,6 +113,7 @@ def learn_force(
     head: Indenter,
     *,
     radius_mm: float,
+    learn_map: MapLearner = learn_response,
 ) -> LearnedForce:
     """Learn a sensor's force model from loads at known places.
 
@@ -107,6 +124,7 @@ def learn_force(
     loads : loads of the calibration.
     line : α_σ and β_σ of the material, or of this sensor; deviations from it become part of the map.
     radius_mm : radius of the sheet.
+    learn_map : what learns the map, with a prior of its own.
 
     Raises
     ------
@@ -130,7 +148,7 @@ def learn_force(
     ratio = np.full(len(used_mask), np.nan)
     ratio[used_mask] = matches.contrast[used_mask] / predicted[used_mask]
     bend, prior, middle = intercept_column(line, stress[used_mask], predicted[used_mask])
-    response = learn_response(
+    response = learn_map(
         loads.place_mm[used_mask],
         np.log(ratio[used_mask]),
         error[used_mask] ** 2,
@@ -144,6 +162,7 @@ def learn_force(
         even_model,
         log_response=mean,
         log_response_stderr=np.sqrt(variance),
+        batch=response.batch,
         scatter=response.scatter,
         stress_kPa=(float(stress[used_mask].min()), float(stress[used_mask].max())),
         misfit=_MISFIT_ROOM * max(_second_share(filter_, loads, used_mask), LEAST_MISFIT),

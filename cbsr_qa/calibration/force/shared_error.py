@@ -21,10 +21,10 @@ class SharedError:
     Parameters
     ----------
     standards : reference standards of the station that calibrated; those that are missing add nothing.
-    head : head that calibrated.
+    head : head that calibrated; None where forces of other heads are not told.
     """
 
-    def __init__(self, standards: Sequence[ReferenceStandard], head: Indenter) -> None:
+    def __init__(self, standards: Sequence[ReferenceStandard], head: Indenter | None = None) -> None:
         load_cell = find_standard(standards, StandardRole.LOAD_CELL)
         indenter = find_standard(standards, StandardRole.INDENTER)
         self._relative, self._offset_N, self._area = 0.0, 0.0, 0.0
@@ -32,7 +32,7 @@ class SharedError:
             self._offset_N = load_cell.standard_uncertainty
         elif load_cell is not None:
             self._relative = load_cell.standard_uncertainty
-        if indenter is not None:
+        if indenter is not None and head is not None:
             u = indenter.standard_uncertainty
             self._area = 2 * u / head.diameter_mm if indenter.unit == "mm" else u
 

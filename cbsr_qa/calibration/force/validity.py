@@ -7,6 +7,7 @@ import numpy as np
 
 from cbsr_qa.calibration.force.learning import LearnedForce
 from cbsr_qa.domain.numbers import Mask
+from cbsr_qa.domain.results.calibration import BatchUse
 from cbsr_qa.domain.results.observation import LoadObservation
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 
@@ -29,6 +30,8 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield f"no force was learned from {_name_loads(members)}: {why}"
     if words := prediction_words(learned):
         yield words
+    if learned.model.batch is not None and not learned.model.batch.alike:
+        yield batch_words(learned.model.batch)
     places = {load.place_mm for load in used_loads}
     if len(places) < _FEW_PLACES:
         yield (f"force was learned at only {len(places)} places: elsewhere their mean response is assumed")
@@ -47,9 +50,25 @@ def prediction_words(learned: LearnedForce) -> str:
     count = sum(learned.predicted)
     if not count:
         return ""
+    length = "only briefly" if all(learned.predicted) else "for a shorter time than the run's longest"
+    source = " with the relaxation of the batch" if all(learned.predicted) else ""
     return (
-        f"{count} of {len(learned.predicted)} loads were held for a shorter time than the run's longest: their"
-        f" readings and forces were predicted to {learned.model.steady_s:.0f} s after the press"
+        f"{count} of {len(learned.predicted)} loads were held {length}: their readings and forces were"
+        f" predicted{source} to {learned.model.steady_s:.0f} s after the press"
+    )
+
+
+def batch_words(batch: BatchUse) -> str:
+    """Return what a map owes to the sensor's batch."""
+    model = f"model {batch.model[:12]}"
+    if not batch.alike:
+        return (
+            f"the sensor is not like its batch (p = {batch.p_value:.2g} by {model}): its map is that of its own loads"
+            " alone"
+        )
+    return (
+        f"the map also rests on the sensor's batch ({model}): {batch.share:.0%} of its variance would be gone if the"
+        f" batch's common map were known exactly; the loads are like the batch's (p = {batch.p_value:.2g})"
     )
 
 

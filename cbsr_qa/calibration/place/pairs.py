@@ -40,6 +40,10 @@ class DistinctPairs:
         merging[np.arange(len(pairs)), rank] = 1 / repeats[rank]
         return cls(pairs[first_columns[order]], repeats, merging)
 
+    def name_readings(self, columns: tuple[str, ...]) -> tuple[str, ...]:
+        """Return the name of each reading's first column."""
+        return tuple(columns[column] for column in np.argmax(self.merging > 0, axis=0).tolist())
+
     @classmethod
     def from_pattern(cls, pattern: DrivePattern) -> "DistinctPairs":
         """Return the pairs of the usable readings of a frame, in its order."""

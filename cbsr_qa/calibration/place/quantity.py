@@ -72,6 +72,26 @@ class Quantities:
     above: Mask
 
 
+def widen_intervals(quantity: Quantities, stderr: Array) -> Quantities:
+    """Return a quantity whose intervals also hold an independent normal error of standard deviation (n,).
+
+    The distance of each end from the value and the error's own combine as squares; an end that was not negative stays
+    so.
+    """
+
+    def widen(within: Array, times: float) -> Array:
+        reach = np.hypot(within - quantity.values[:, None], times * stderr[:, None])
+        ends: Array = quantity.values[:, None] + np.array([-1.0, 1.0]) * reach
+        return np.where(within >= 0, np.maximum(ends, 0.0), ends)
+
+    inner_times, outer_times = _NORMAL
+    return replace(
+        quantity,
+        within_68=widen(quantity.within_68, inner_times),
+        within_95=widen(quantity.within_95, outer_times),
+    )
+
+
 class QuantityEstimator:
     """Estimates a quantity of located presses.
 

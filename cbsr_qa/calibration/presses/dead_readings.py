@@ -10,6 +10,12 @@ from cbsr_qa.calibration.force.faults import FaultFinder
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.faulty import MOST_FAULTY, FaultyGroups
 from cbsr_qa.calibration.place.features import SPIKY, safe_ceilings, spikes_among
+from cbsr_qa.calibration.presses.odd_units import (
+    OTHERS_LET_EXPECT,
+    describe_other_unit,
+    find_odd_readings,
+    find_odd_rows,
+)
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 #: Least number of presses for judging electrodes: with fewer, neighbours are too far apart to read alike.
@@ -50,17 +56,28 @@ class DeadReadings:
 
 
 def find_dead_readings(
-    pairs: Indices, changes: Array, place_mm: Array, rest: Array | None = None, noise: Array | None = None
+    pairs: Indices,
+    changes: Array,
+    place_mm: Array,
+    rest: Array | None = None,
+    noise: Array | None = None,
+    columns: tuple[str, ...] = (),
 ) -> DeadReadings:
-    """Find spikes, faults of single presses, readings that never change, and electrodes that do not follow the place.
+    """Find spikes, other units, faults of single presses, constant readings, and electrodes that ignore the place.
 
     Parameters
     ----------
     pairs : (m, 4) source, sink, plus and minus.
     changes : (n, m) changes of the readings by presses at places (n, 2).
     rest, noise : (m,) readings of the unloaded sheet and their noise, where the readings are whole frames.
+    columns : (m,) names of the readings in their table; without them they are named by their pairs.
     """
+    odd_rows = dict(find_odd_rows(changes))
+    changes = np.where(np.isin(np.arange(len(changes)), list(odd_rows))[:, None], 0.0, changes)
+    odd_readings = list(find_odd_readings(changes))
     faulty_mask, flags, spike_mask = _faulty(pairs, changes, rest, noise)
+    for row, reading, _ in odd_readings:
+        faulty_mask[row, reading], spike_mask[row, reading] = False, True
     constant_mask = np.ptp(changes, axis=0) == 0
     changes = np.where(spike_mask | faulty_mask, 0.0, changes)
     followed_share = _share_of_neighbours(changes, place_mm) if len(changes) >= _FEWEST else np.ones(len(pairs))
@@ -101,18 +118,27 @@ def find_dead_readings(
         row, reading = np.argwhere(spike_mask)[0].tolist()
         findings.append(
             f"{spike_mask.mean():.1%} of the readings are spikes, and are left out; the first is in row {row + 1},"
-            f" column {reading + 1} of the distinct readings"
+            f" {_name_reading(pairs, columns, reading)}"
         )
+    findings += [
+        f"row {row + 1}, {_name_reading(pairs, columns, reading)}: {describe_other_unit(ratio, OTHERS_LET_EXPECT)};"
+        " it is left out, the others of the press are used"
+        for row, reading, ratio in odd_readings[:_MOST_NAMED]
+        if not dead_mask[reading]
+    ]
     further_mask = faulty_mask & ~dead_mask
     lost_mask = further_mask.sum(axis=1) > MOST_FAULTY * (~dead_mask).sum()
-    left_out = tuple(_fault_words(flag) if row else "" for row, flag in zip(lost_mask, flags.tolist(), strict=True))
+    reasons = [_fault_words(flag) if row else "" for row, flag in zip(lost_mask, flags.tolist(), strict=True)]
+    for row, ratio in odd_rows.items():
+        lost_mask[row] = True
+        reasons[row] = f"its readings are {describe_other_unit(ratio, 'those of the others')}"
     affected = np.flatnonzero(further_mask.any(axis=1) & ~lost_mask)
     if affected.size:
         findings.append(
             f"presses with faulty readings, which are left out: {affected.size}; the first is row"
             f" {affected[0] + 1}: {_fault_words(int(flags[affected[0]]))}"
         )
-    return DeadReadings(dead_mask | spike_mask | faulty_mask | lost_mask[:, None], tuple(findings), left_out)
+    return DeadReadings(dead_mask | spike_mask | faulty_mask | lost_mask[:, None], tuple(findings), tuple(reasons))
 
 
 def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | None) -> tuple[Mask, Indices, Mask]:
@@ -127,6 +153,10 @@ def _faulty(pairs: Indices, changes: Array, rest: Array | None, noise: Array | N
     # Spikes are left out here: they have their own words.
     group_faults, flags_of = FaultyGroups(pairs)(changes, ceiling, lost_mask, np.zeros_like(lost_mask))
     return faulty_mask | group_faults, flags | flags_of, spike_mask
+
+
+def _name_reading(pairs: Indices, columns: tuple[str, ...], reading: int) -> str:
+    return f"column {columns[reading]}" if columns else f"pair {','.join(map(str, pairs[reading].tolist()))}"
 
 
 def _fault_words(flags: int) -> str:

@@ -5,18 +5,21 @@ from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
+from scipy.spatial.distance import pdist
 from scipy.special import fdtrc
 
 from cbsr_qa.calibration.place.pairs import DistinctPairs
 from cbsr_qa.calibration.presses.frame_tables import check_same_unit, read_frame_table
 from cbsr_qa.calibration.presses.tables import PressTable
 from cbsr_qa.domain.errors import RecordingError
+from cbsr_qa.domain.geometry.outlines import Disc, Polygon, SheetOutline
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import MOST_PRESSES
 from cbsr_qa.domain.results.press_calibration import SheetRegistration
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 
-#: Allowed distance of a press beyond the edge of the sheet, of its radius: labels, scale and radius are inexact.
+#: Allowed distance of a press beyond the edge of the sheet, of its radius, and of places from each other, of the
+#: farthest on the sheet: labels, scale and radius are inexact.
 _BEYOND = 1.15
 _MOST_NAMED = 5
 #: Difference of readings between presses, relative to their size, below which they are equal.
@@ -42,6 +45,7 @@ class PressReadings:
     rest : (m,) reference of frames; None if the table has changes.
     noise : (m,) standard deviation of one frame; None with fewer than two frames at rest.
     time_s : (n,) times of the presses [s]; None if the table has none.
+    columns : (m,) names of the readings' first columns; empty if they are of a recording.
     """
 
     path: Path
@@ -50,6 +54,7 @@ class PressReadings:
     rest: Array | None = None
     noise: Array | None = None
     time_s: Array | None = None
+    columns: tuple[str, ...] = ()
 
     def some(self, rows: Indices) -> "PressReadings":
         """Select presses, in the order of ``rows``."""
@@ -97,7 +102,7 @@ class LabelledPresses:
         """Check that readings and labels match and may be from one sheet; RecordingError names file and rows."""
         check_rows(self.readings, self.presses)
         if self.radius_stated:
-            check_near(self.presses, self.sensor_type.radius_mm)
+            check_near(self.presses, self.sensor_type.outline)
 
 
 def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressReadings:
@@ -116,14 +121,15 @@ def read_press_readings(path: Path, pairs: Indices, rest: Path | None) -> PressR
     distinct = DistinctPairs.from_pairs(pairs)
     table = read_frame_table(path, len(pairs))
     readings = table.readings @ distinct.merging
+    columns = distinct.name_readings(table.columns)
     if rest is None:
-        return PressReadings(path, distinct, readings, time_s=table.time_s)
+        return PressReadings(path, distinct, readings, time_s=table.time_s, columns=columns)
     rest_table = read_frame_table(rest, len(pairs))
     check_same_unit(table, rest_table)
     frames = rest_table.readings @ distinct.merging
     mean = frames.mean(axis=0)
     noise = frames.std(axis=0, ddof=1) if len(frames) > 1 else None
-    return PressReadings(path, distinct, readings - mean, mean, noise, table.time_s)
+    return PressReadings(path, distinct, readings - mean, mean, noise, table.time_s, columns)
 
 
 def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:
@@ -201,19 +207,27 @@ def _refuse_tiny(readings: PressReadings) -> None:
         )
 
 
-def check_near(presses: PressTable, radius_mm: float) -> None:
-    """Check that presses may lie within a sheet at any position; RecordingError names file, rows and places."""
+def find_outline(sensor_type: SensorType, registration: SheetRegistration) -> SheetOutline:
+    """Return the outline of a registered sheet, in its axes; of a disc the radius may be estimated."""
+    return Disc(registration.radius_mm) if sensor_type.polygon is None else sensor_type.polygon
+
+
+def check_near(presses: PressTable, outline: SheetOutline) -> None:
+    """Check that presses may lie within a sheet in any pose; RecordingError names file, rows and places."""
     distance_mm = np.linalg.norm(presses.place_mm - np.median(presses.place_mm, axis=0), axis=1)
-    _refuse_outside(presses, distance_mm > 2 * _BEYOND * radius_mm, radius_mm)
+    farthest_mm = 2 * outline.radius_mm
+    if isinstance(outline, Polygon):
+        farthest_mm = float(pdist(np.array(outline.corners_mm)).max())
+    _refuse_outside(presses, distance_mm > _BEYOND * farthest_mm, outline)
 
 
-def check_inside(presses: PressTable, registration: SheetRegistration) -> None:
+def check_inside(presses: PressTable, registration: SheetRegistration, outline: SheetOutline) -> None:
     """Check that presses lie on the registered sheet; RecordingError names file, rows and places."""
-    distance_mm = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
-    _refuse_outside(presses, distance_mm > _BEYOND * registration.radius_mm, registration.radius_mm)
+    clearance_mm = outline.clearance_mm(registration.on_sheet_mm(presses.place_mm))
+    _refuse_outside(presses, clearance_mm < (1 - _BEYOND) * outline.radius_mm, outline)
 
 
-def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> None:
+def _refuse_outside(presses: PressTable, outside: Mask, outline: SheetOutline) -> None:
     rows = np.flatnonzero(outside)
     if not rows.size:
         return
@@ -222,9 +236,9 @@ def _refuse_outside(presses: PressTable, outside: Mask, radius_mm: float) -> Non
         for row, (x, y) in zip(rows[:_MOST_NAMED], presses.place_mm[rows[:_MOST_NAMED]], strict=True)
     )
     raise RecordingError(
-        f"{presses.table.path}: {rows.size} of {len(outside)} presses are outside the sheet of {radius_mm:.3g} mm"
-        f" radius: {row_list}",
-        remedy="correct the places, or the radius in the sensor type",
+        f"{presses.table.path}: {rows.size} of {len(outside)} presses are outside the sheet, which {outline.words()}:"
+        f" {row_list}",
+        remedy="correct the places, or the size in the sensor type",
     )
 
 

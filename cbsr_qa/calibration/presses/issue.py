@@ -6,6 +6,7 @@ from typing import Final
 from cbsr_qa.calibration.file.hdf5 import stamp
 from cbsr_qa.calibration.presses.inputs import LabelledPresses
 from cbsr_qa.calibration.presses.learning import PressesLearned
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.press_calibration import LeftOutPress, PressCalibration, SourceFile
 
 _MADE_BY: Final = "labelled presses; no station made this calibration"
@@ -27,8 +28,18 @@ class Identity:
     sources: tuple[SourceFile, ...]
 
 
-def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: PressesLearned) -> PressCalibration:
-    """Issue a calibration learned from labelled presses."""
+def issue_from_presses(
+    identity: Identity,
+    labelled: LabelledPresses,
+    learned: PressesLearned,
+    standards: tuple[ReferenceStandard, ...] = (),
+) -> PressCalibration:
+    """Issue a calibration learned from labelled presses.
+
+    Parameters
+    ----------
+    standards : reference standards that the forces of the presses are traced to.
+    """
     sensor_type, readings, distinct = labelled.sensor_type, labelled.readings, labelled.readings.distinct
     held_out = learned.place.held_out
     return stamp(
@@ -59,5 +70,6 @@ def issue_from_presses(identity: Identity, labelled: LabelledPresses, learned: P
             depth=learned.quantities.get("depth"),
             drive=sensor_type.pattern.drive,
             measure=sensor_type.pattern.measure,
+            standards=standards,
         )
     )

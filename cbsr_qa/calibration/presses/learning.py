@@ -13,7 +13,7 @@ from cbsr_qa.calibration.place.modelled import ModelledEstimator, with_variance
 from cbsr_qa.calibration.place.quantity import is_untold, learn_quantity
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_electrode_order
-from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside
+from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside, find_outline
 from cbsr_qa.calibration.presses.likeness import answering_side
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
@@ -108,15 +108,21 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     labelled.check()
     tell("finding how the sheet lies")
     dead_readings = find_dead_readings(
-        readings.distinct.pairs, readings.changes, presses.place_mm, readings.rest, readings.noise
+        readings.distinct.pairs,
+        readings.changes,
+        presses.place_mm,
+        readings.rest,
+        readings.noise,
+        readings.columns,
     )
     clipped_share = estimate_clipped_share(readings.changes, readings.rest)
     readings = replace(readings, changes=np.where(dead_readings.dead, 0.0, readings.changes))
     sheet = ModelledSheet(labelled.sensor_type)
     order = _find_electrode_order(replace(labelled, readings=readings), sheet)
     registration = order.registered.registration
+    outline = find_outline(labelled.sensor_type, registration)
     if registration.trusted:
-        check_inside(presses, registration)
+        check_inside(presses, registration, outline)
     used_mask = np.any(readings.changes != 0, axis=1)
     time_s = None if presses.time_s is None else presses.time_s[used_mask]
     place_mm, missing = presses.place_mm[used_mask], dead_readings.dead[used_mask]
@@ -154,7 +160,7 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
         *far_from_their_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),
     )
     if registration.trusted:
-        press_findings += (*off_the_sheet(presses, registration),)
+        press_findings += (*off_the_sheet(presses, registration, outline),)
     unused_electrodes = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
     reading_findings = (
         *list_ignored_columns(presses),

@@ -6,6 +6,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.presses.tables import LABELS, PressTable
+from cbsr_qa.domain.geometry.outlines import SheetOutline
 from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.domain.results.press_calibration import SheetRegistration
 
@@ -19,15 +20,14 @@ _CLEARLY: Final = 2.0
 _MOST_NAMED: Final = 5
 
 
-def off_the_sheet(presses: PressTable, registration: SheetRegistration) -> Iterator[str]:
-    """Name presses whose places lie a little outside the registered sheet."""
-    away_mm = np.linalg.norm(registration.on_sheet_mm(presses.place_mm), axis=1)
+def off_the_sheet(presses: PressTable, registration: SheetRegistration, outline: SheetOutline) -> Iterator[str]:
+    """Name presses whose places lie a little outside the outline of the registered sheet."""
+    beyond_mm = -outline.clearance_mm(registration.on_sheet_mm(presses.place_mm))
     variance = np.linalg.eigvalsh(registration.covariance_mm2(presses.place_mm))[:, -1]
-    beyond_mm = away_mm - registration.radius_mm
     rows = np.flatnonzero(beyond_mm > _CLEARLY * np.sqrt(variance) / registration.scale)
     if rows.size:
         named = _name_rows(rows, [f", {beyond:.1f} mm beyond its edge" for beyond in beyond_mm[rows[:_MOST_NAMED]]])
-        yield f"{_count(rows)} outside the sheet of {registration.radius_mm:.3g} mm radius: {named}; check the labels"
+        yield f"{_count(rows)} outside the sheet, which {outline.words()}: {named}; check the labels"
 
 
 def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -> Iterator[str]:

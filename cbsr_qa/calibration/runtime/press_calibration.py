@@ -16,11 +16,12 @@ from cbsr_qa.calibration.file.hdf5 import read_issued
 from cbsr_qa.calibration.file.signing import check_signed_file
 from cbsr_qa.calibration.force.faults import FaultFinder
 from cbsr_qa.calibration.force.inverse import Flag
+from cbsr_qa.calibration.force.shared_error import SharedError
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.modelled import ModelledEstimator
 from cbsr_qa.calibration.place.pairs import DistinctPairs, match_readings
 from cbsr_qa.calibration.place.places import Places
-from cbsr_qa.calibration.place.quantity import Quantities, QuantityEstimator
+from cbsr_qa.calibration.place.quantity import Quantities, QuantityEstimator, widen_intervals
 from cbsr_qa.calibration.runtime.estimator import (
     AS_CALIBRATED,
     Ability,
@@ -69,10 +70,10 @@ class PressCalibration:
 
     sensor_type: None = None
     head: None = None
-    force_error: str = describe_force_error(())
 
     def __init__(self, issued: Issued) -> None:
         self.issued = issued
+        self._shared_error = SharedError(issued.standards)
         self._modelled = None if issued.modelled is None else ModelledEstimator(issued.modelled, issued.registration)
         self._locate = PlaceEstimator(issued.place, self._modelled, issued.pairs, issued.held_out_mm)
         self.q68, self.q95 = float(self._locate.q68), float(self._locate.q95)
@@ -126,6 +127,11 @@ class PressCalibration:
             "", issued.calibration, issued.digest, "presses", issued.sensor_type, issued.electrodes, _AXES
         )
 
+    @property
+    def force_error(self) -> str:
+        """What intervals of force include, in words."""
+        return describe_force_error(self.issued.standards)
+
     @cached_property
     def pattern(self) -> DrivePattern:
         """Pattern of the frames that it was learned from."""
@@ -141,12 +147,20 @@ class PressCalibration:
     def force(self, places: Places) -> Quantities:
         """Return the force [N] of each touch, with intervals. CalibrationError if the presses had no forces."""
         require_ability(self, Ability.FORCE, "calibrate with labels of it")
-        return self._quantities["force"](places)
+        return self._estimate_quantity("force", places)[0]
 
     def depth(self, places: Places) -> Quantities:
         """Return the depth [mm] of each touch, with intervals. CalibrationError if the presses had no depths."""
         require_ability(self, Ability.DEPTH, "calibrate with labels of it")
-        return self._quantities["depth"](places)
+        return self._estimate_quantity("depth", places)[0]
+
+    def _estimate_quantity(self, name: str, places: Places) -> tuple[Quantities, Array | None]:
+        """Return a quantity, and the standard error that all its values share, which its intervals hold; or None."""
+        quantity = self._quantities[name](places)
+        if name != "force" or not self.issued.standards:
+            return quantity, None
+        shared_N = self._shared_error.stderr_N(quantity.values)
+        return widen_intervals(quantity, shared_N), shared_N
 
     def estimate(self, frames: ArrayLike) -> Touches:
         """Estimate the touch in each frame, against the unloaded frame of the calibration; see :class:`Estimator`."""
@@ -235,7 +249,7 @@ class PressCalibration:
             sound_changes = np.where(faults.left_out, np.nan, changes)
         places = self._locate(changes, faults)
         with np.errstate(over="ignore"):  # frames without a touch have no quantities
-            quantities = {name: estimate(places) for name, estimate in self._quantities.items()}
+            quantities = {name: self._estimate_quantity(name, places) for name in self._quantities}
         modelled = None if self._modelled is None else self._modelled(sound_changes)
         return _make_touches(places, self.regions, quantities, modelled)
 
@@ -280,10 +294,13 @@ def check_pressed_recording(recording: Recording, pattern: DrivePattern) -> None
 
 
 def _make_touches(
-    places: Places, regions: Regions, quantities: Mapping[str, Quantities], modelled: Places | None
+    places: Places,
+    regions: Regions,
+    quantities: Mapping[str, tuple[Quantities, Array | None]],
+    modelled: Places | None,
 ) -> Touches:
     flags = places.flags.copy()
-    for quantity in quantities.values():
+    for quantity, _ in quantities.values():
         finite_mask = np.isfinite(quantity.values)
         flags |= (finite_mask & quantity.below) * int(Flag.BELOW_RANGE) | (finite_mask & quantity.above) * int(
             Flag.ABOVE_RANGE
@@ -293,8 +310,8 @@ def _make_touches(
     largest_variance[placed_mask] = np.linalg.eigvalsh(places.covariance_mm2[placed_mask])[:, -1]
     half_axis_mm = np.sqrt(np.maximum(largest_variance, 0.0))
     values = {
-        name: TouchValues(quantity.values, quantity.within_68, quantity.within_95)
-        for name, quantity in quantities.items()
+        name: TouchValues(quantity.values, quantity.within_68, quantity.within_95, shared_stderr=shared)
+        for name, (quantity, shared) in quantities.items()
     }
     modelled_touches = None
     if modelled is not None:

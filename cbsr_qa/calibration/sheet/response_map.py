@@ -7,6 +7,7 @@ mean response, which, since responses are relative to the field of the head itse
 sensitivity.
 """
 
+from collections.abc import Iterator
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Final
@@ -20,11 +21,12 @@ from cbsr_qa.calibration.sheet.response_processes import (
     combine_loads,
     compute_covariance,
     condition_family,
+    covary_processes,
     predict_processes,
 )
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.results.calibration import ForceModel
+from cbsr_qa.domain.results.calibration import BatchUse, ForceModel
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 #: Correlation lengths of the response, over the sheet's radius.
@@ -53,23 +55,64 @@ class ResponseMap:
     ----------
     places_mm : (p, 2) places of the loads, each once.
     members, weights : the processes and their posterior weights, with sum one.
+    batch : batch that the sensor was compared with and is not like; None if there was none.
     """
 
     places_mm: Array
     members: tuple[Process, ...]
     weights: Array
+    batch: BatchUse | None = None
 
     def predict(self, places_mm: Array) -> tuple[Array, Array]:
         """Mean and variance (n,) of the logarithm of the response at places (n, 2), without the scatter of loads."""
-        means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
-        kinds = [(member.smooth, member.length_mm) for member in self.members]
-        for kind in dict.fromkeys(kinds):
-            among = [number for number, other in enumerate(kinds) if other == kind]
-            kernel = compute_covariance(self.places_mm, places_mm, kind[1], kind[0])
-            means[among], variances[among] = predict_processes([self.members[number] for number in among], kernel)
+        means, variances = self.predict_members(places_mm)
         mean: Array = self.weights @ means
         variance: Array = self.weights @ (variances + (means - mean) ** 2)
         return mean, np.maximum(variance, 0.0)
+
+    def predict_members(self, places_mm: Array) -> tuple[Array, Array]:
+        """Means and variances (m, n) of each member at places (n, 2)."""
+        means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
+        for (smooth, length_mm), among, members in self._by_kernel():
+            kernel = compute_covariance(self.places_mm, places_mm, length_mm, smooth)
+            means[among], variances[among] = predict_processes(members, kernel)
+        return means, variances
+
+    def covariance(self, places_mm: Array, others_mm: Array) -> Array:
+        """Posterior covariance (m, n, t) of each member, of places (n, 2) with others (t, 2)."""
+        covariances = np.empty((len(self.members), len(places_mm), len(others_mm)))
+        for (smooth, length_mm), among, members in self._by_kernel():
+            to_places, to_others = (
+                compute_covariance(self.places_mm, mm, length_mm, smooth) for mm in (places_mm, others_mm)
+            )
+            mutual = compute_covariance(places_mm, others_mm, length_mm, smooth)
+            covariances[among] = covary_processes(members, (to_places, to_others), mutual)
+        return covariances
+
+    def variance_after(self, candidates_mm: Array, targets_mm: Array, variance: float) -> Array:
+        """Variance (m, n, t) of each member at targets (t, 2) after one more load at each candidate (n, 2).
+
+        The hyperparameters of a member stay as they are, so that the load changes its variance by one rank:
+        v(t) − c(x, t)² / (v(x) + variance + scatter²). The load is one of the calibration's middle stress, which the
+        line's intercept does not change.
+
+        Parameters
+        ----------
+        variance : variance of the logarithm of the new load's response, by noise.
+        """
+        _, at_candidates = self.predict_members(candidates_mm)
+        _, at_targets = self.predict_members(targets_mm)
+        scatter = np.array([member.scatter for member in self.members])
+        observed = at_candidates + (variance + scatter**2 + _ROUNDING)[:, None]
+        after = at_targets[:, None] - self.covariance(candidates_mm, targets_mm) ** 2 / observed[:, :, None]
+        return np.maximum(after, 0.0)
+
+    def _by_kernel(self) -> Iterator[tuple[tuple[bool, float], list[int], list[Process]]]:
+        """Yield each kind and length of kernel with its members and their numbers."""
+        kinds = [(member.smooth, member.length_mm) for member in self.members]
+        for kind in dict.fromkeys(kinds):
+            among = [number for number, other in enumerate(kinds) if other == kind]
+            yield kind, among, [self.members[number] for number in among]
 
     @cached_property
     def scatter(self) -> float:
@@ -125,7 +168,7 @@ def learn_response(
         )
     columns = np.ones((len(log_response), 1)) if bend is None else np.column_stack([np.ones(len(bend)), bend])
     prior_precision = np.zeros(1) if bend is None else np.array([0.0, 1 / bend_stderr**2])
-    places, which = _find_places(places_mm)
+    places, which = find_places(places_mm)
     columns_and_values = np.column_stack([columns, log_response])
     data = {
         float(scatter): combine_loads(
@@ -163,7 +206,7 @@ def intercept_column(line: QuasiStatic, pressed: Array, predicted: Array) -> tup
     return 1 / predicted - 1 / middle, line.intercept.stderr or _UNKNOWN_INTERCEPT, middle
 
 
-def _find_places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
+def find_places(places_mm: Array) -> tuple[Array, NDArray[np.intp]]:
     """Places (p, 2), each once in the order of the loads, and the index of each load's place (n,)."""
     _, first_loads, place_index = np.unique(places_mm, axis=0, return_index=True, return_inverse=True)
     order = np.argsort(first_loads)

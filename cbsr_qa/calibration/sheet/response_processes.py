@@ -18,8 +18,8 @@ from cbsr_qa.domain.numbers import Array
 _DEVIATIONS: Final = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
 #: Scale of the prior of the scatter (exponential), and of the deviation (half Cauchy): typical repeatability of
 #: presses, and typical variation of moulded sheets. Chosen by us.
-_USUAL_SCATTER: Final = 0.02
-_USUAL_DEVIATION: Final = 0.2
+USUAL_SCATTER: Final = 0.02
+USUAL_DEVIATION: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -108,18 +108,43 @@ class ProcessFamily:
 
 def predict_processes(members: Sequence[Process], kernel: Array) -> tuple[Array, Array]:
     """Means and variances (m, n) of members with one kernel (p, n), at once, as a map may have hundreds of them."""
-    deviation, root_weight, root, data, drift, mean, mean_root = (
+    whitened_kernel, spread = _whiten(members, kernel)
+    data, drift, mean = (
+        np.array([getattr(member, name) for member in members]) for name in ("data", "drift", "mean")
+    )
+    centred_data = data - (drift @ mean[:, :, None])[..., 0]
+    means = mean[:, :1] + (centred_data[:, None] @ whitened_kernel)[:, 0]
+    prior = np.array([member.deviation for member in members])[:, None] ** 2
+    return means, prior - (whitened_kernel**2).sum(axis=1) + (spread**2).sum(axis=1)
+
+
+def covary_processes(members: Sequence[Process], kernels: tuple[Array, Array], mutual: Array) -> Array:
+    """Posterior covariances (m, n, t) of members with one kernel, of n places with t others.
+
+    Parameters
+    ----------
+    kernels : (p, n) and (p, t) correlations of the loads' places with both.
+    mutual : (n, t) correlations of both.
+    """
+    (whitened, spread), (whitened_other, spread_other) = (_whiten(members, kernel) for kernel in kernels)
+    prior = np.array([member.deviation for member in members])[:, None, None] ** 2
+    covariance: Array = (
+        prior * mutual - np.swapaxes(whitened, 1, 2) @ whitened_other + np.swapaxes(spread, 1, 2) @ spread_other
+    )
+    return covariance
+
+
+def _whiten(members: Sequence[Process], kernel: Array) -> tuple[Array, Array]:
+    """Kernel (m, p, n) and the mean's columns there less what the loads say of them (m, k, n), solved."""
+    deviation, root_weight, root, drift, mean_root = (
         np.array([getattr(member, name) for member in members])
-        for name in ("deviation", "root_weight", "root", "data", "drift", "mean", "mean_root")
+        for name in ("deviation", "root_weight", "root", "drift", "mean_root")
     )
     prior = deviation[:, None] ** 2
     whitened_kernel = np.linalg.solve(root, prior[:, None] * root_weight[:, :, None] * kernel)
     mean_residual = -np.swapaxes(drift, 1, 2) @ whitened_kernel
     mean_residual[:, 0] += 1
-    centred_data = data - (drift @ mean[:, :, None])[..., 0]
-    means = mean[:, :1] + (centred_data[:, None] @ whitened_kernel)[:, 0]
-    spread = np.linalg.solve(mean_root, mean_residual)
-    return means, prior - (whitened_kernel**2).sum(axis=1) + (spread**2).sum(axis=1)
+    return whitened_kernel, np.linalg.solve(mean_root, mean_residual)
 
 
 def combine_loads(which: NDArray[np.intp], columns: Array, variance: Array, known: Array) -> CombinedLoads:
@@ -156,8 +181,8 @@ def condition_family(data: dict[float, CombinedLoads], alike: Array, smooth: boo
         np.array([group.log_variance for group in data.values()]) / 2 + _log_root(root) + _log_root(mean_root)
     )
     # The grid is even in the logarithm of the deviation, so its density includes the deviation as a factor.
-    prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / _USUAL_DEVIATION) ** 2)
-    score = -misfit / 2 - determinants + prior[:, None] - scatter / _USUAL_SCATTER
+    prior = np.log(_DEVIATIONS) - np.log1p((_DEVIATIONS / USUAL_DEVIATION) ** 2)
+    score = -misfit / 2 - determinants + prior[:, None] - scatter / USUAL_SCATTER
     return ProcessFamily(smooth, length_mm, scatter, root_weight, root, solved, mean, mean_root, score)
 
 

@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, PageOutput, one_of, to_day
+from cbsr_qa.cli.options import AsJson, Database, PageOutput, list_given_options, one_of, option_names, to_day
 from cbsr_qa.cli.output import check_page, show
 from cbsr_qa.domain.errors import RefusedError
 
@@ -17,9 +17,12 @@ if TYPE_CHECKING:
 _DAY = ["%Y-%m-%d"]
 
 
-@command("charts", prints="cbsr_qa.studies.charts.charts:Charts")
+@command("charts", prints="cbsr_qa.studies.charts.charts:Charts|cbsr_qa.studies.charts.listed:ListedCharts")
 def charts(
-    station: Annotated[str, typer.Option(help="Name of the station, as stored with its runs.")],
+    context: typer.Context,
+    station: Annotated[
+        str | None, typer.Option(help="Name of the station, as stored with its runs; without it, charts are listed.")
+    ] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
     golden: Annotated[str, typer.Option(metavar="SERIAL", help="Chart this golden sensor, not production.")] = "",
     metric: Annotated[
@@ -54,8 +57,10 @@ def charts(
 ) -> None:
     """Chart a station's metrics over its runs, against a reference period in which it was known to be in order.
 
-    Exit code 1 if a chart signals.
+    Without --station, list the stations that are charted. Exit code 1 if a chart signals.
     """
+    if station is None:
+        raise typer.Exit(_list_all(context, database=database, as_json=as_json))
     from cbsr_qa.domain.results.charts import ChartKind
     from cbsr_qa.studies.charts.charts import control_charts
     from cbsr_qa.studies.charts.report import charts_outcome
@@ -83,6 +88,17 @@ def charts(
     check_page(output)  # before anything is computed or stored
     outcome = charts_outcome(control_charts(request, database=database))
     raise typer.Exit(show(outcome, output=output, as_json=as_json))
+
+
+def _list_all(context: typer.Context, *, database: str | None, as_json: bool) -> int:
+    from cbsr_qa.studies.charts.listed import list_charts
+
+    if of_one_station := list_given_options(context) - {"database", "as_json"}:
+        raise RefusedError(
+            f"{option_names(sorted(of_one_station))} without --station",
+            remedy="name the station; cbsr-qa charts lists those that are charted",
+        )
+    return show(list_charts(database=database), as_json=as_json)
 
 
 def _check_stored_holds(of_new: Mapping[str, object]) -> None:

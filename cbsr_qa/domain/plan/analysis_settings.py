@@ -3,6 +3,7 @@
 from dataclasses import dataclass
 
 from cbsr_qa.domain.imaging import OverlapBand
+from cbsr_qa.domain.plan.batch_model import KeptBatch
 
 
 @dataclass(frozen=True, slots=True)
@@ -32,6 +33,9 @@ class AnalysisSettings:
     transients : treatment of short holds for the force model: ``"averaged"`` (their last frames as measured) or
         ``"predicted"`` (extrapolated to the end of the run's longest holds).
     learn_place : whether place is learned from the loads that calibrate, and used if that pays.
+    prior : what is known of a sensor's map before its presses: ``"none"``, or ``"batch"``, what its batch has in
+        common.
+    batch : the batch's model, which a run's configuration holds; None without.
     """
 
     masks: tuple[float, ...]
@@ -53,6 +57,8 @@ class AnalysisSettings:
     calibrate_phases: tuple[str, ...] = ()
     transients: str = "averaged"
     learn_place: bool = False
+    prior: str = "none"
+    batch: KeptBatch | None = None
 
 
 @dataclass(frozen=True, slots=True)

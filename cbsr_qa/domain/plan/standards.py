@@ -1,7 +1,8 @@
 """Reference standards that a station's forces are traced to, as their calibration certificates state them."""
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
+from datetime import date
 from enum import StrEnum
 from typing import Annotated
 
@@ -67,3 +68,24 @@ def describe_force_error(standards: Iterable[ReferenceStandard]) -> str:
     return (
         "scatter only; load cell not stated" if load_cell is None else f"scatter and load cell ({load_cell.words()})"
     )
+
+
+def past_due(due: str | None, today: date) -> bool:
+    """Whether a calibration was due before today, an ISO date; the day itself is in time."""
+    return due is not None and date.fromisoformat(due) < today
+
+
+def dated_later(certificate_date: str, today: date) -> bool:
+    """Whether a certificate is dated after today, so that it cannot exist yet."""
+    return date.fromisoformat(certificate_date) > today
+
+
+def find_doubtful_dates(standards: Iterable[ReferenceStandard], today: date) -> Iterator[str]:
+    """Yield standards that were due before today, or whose certificates are dated later."""
+    for standard in standards:
+        if past_due(standard.due, today):
+            certified = f"the {standard.role_words} (certificate {standard.certificate})"
+            yield f"the calibration of {certified} was due on {standard.due}"
+        if dated_later(standard.date, today):
+            words = f"the certificate {standard.certificate} of the {standard.role_words} is dated {standard.date}"
+            yield f"{words}, later than today, {today}"

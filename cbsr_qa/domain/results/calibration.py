@@ -55,6 +55,24 @@ class Lattice:
         return np.stack(np.meshgrid(x, y), axis=-1).reshape(-1, 2)
 
 
+@dataclass(frozen=True, slots=True)
+class BatchUse:
+    """What a map of the response owes to the sensor's batch.
+
+    Parameters
+    ----------
+    model : digest of the batch's model.
+    alike : whether the sensor's loads are like its batch's; if not, the map is that of its loads alone.
+    p_value : predictive probability of loads at least as far from what the batch predicts.
+    share : mean share of the map's variance that would be gone if the batch's common map were exactly known.
+    """
+
+    model: str
+    alike: bool
+    p_value: Annotated[float, Kept(least=0, most=1)]
+    share: Annotated[float, Kept(least=0, most=1)]
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class ForceModel:
     """How readings become the contrast under a head, and contrast becomes stress.
@@ -91,6 +109,7 @@ class ForceModel:
         [s].
     place_scatter_mm : standard deviation of a found place about the true one, along an axis, beyond noise.
     loading, unloading : kernels of rise and decay of loads; None if not learned.
+    batch : what the map owes to the sensor's batch; None if the recipe has no such prior.
     """
 
     lattice: Annotated[Lattice, Kept(prepared=True)]
@@ -115,6 +134,7 @@ class ForceModel:
     place_scatter_mm: _NotNegative = 0.0
     loading: Annotated[RelaxationKernel | None, Kept(given=(("loading", True),))] = None
     unloading: Annotated[RelaxationKernel | None, Kept(given=(("loading", False),))] = None
+    batch: Annotated[BatchUse | None, Kept(since=7)] = None
 
 
 @dataclass(frozen=True, slots=True)

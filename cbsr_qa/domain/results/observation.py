@@ -14,6 +14,7 @@ from cbsr_qa.domain.geometry.footprints import Footprint
 from cbsr_qa.domain.imaging import Blob, Image, LinearReconstruction, Region
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
@@ -222,6 +223,7 @@ class RunObservation:
     timelines : metrics of every frame, for the phases that press a grid of places.
     settings : settings by which images became numbers.
     loops : presses that were eased to other strains, by place.
+    standards : reference standards of the station that measured; those that are missing were not stated.
     """
 
     record: RunRecord
@@ -240,6 +242,7 @@ class RunObservation:
     warnings: tuple[str, ...] = ()
     timelines: tuple[MetricTimeline, ...] = ()
     loops: tuple[LoopObservation, ...] = ()
+    standards: tuple[ReferenceStandard, ...] = ()
     _derived: dict[Hashable, Any] = field(default_factory=dict, init=False, repr=False)
 
     def derive(self, compute: Callable[..., R], *args: Hashable) -> R:

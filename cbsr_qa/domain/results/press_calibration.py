@@ -7,6 +7,7 @@ import numpy as np
 
 from cbsr_qa.domain.kept import NOT_KEPT, Kept
 from cbsr_qa.domain.numbers import Array, Indices
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.learned_place import LearnedPlace, ModelledPlace
 from cbsr_qa.domain.results.learned_quantity import LearnedQuantity
 from cbsr_qa.domain.results.signature import Signature
@@ -87,7 +88,7 @@ class SourceFile:
 
     Parameters
     ----------
-    role : ``"readings"``, ``"presses"``, ``"pattern"``, ``"rest"`` or ``"sensor type"``.
+    role : ``"readings"``, ``"presses"``, ``"pattern"``, ``"rest"``, ``"sensor type"`` or ``"standards"``.
     name : name of the file, without its folder.
     digest : SHA-256 of its bytes.
     """
@@ -137,6 +138,7 @@ class PressCalibration:
     place : model that converts changes to places.
     modelled : figures by the modelled sheet alone.
     force, depth : models that turn located changes into newtons and millimetres; None where presses had none.
+    standards : reference standards of the presses; those that are missing were not stated.
     drive, measure : pairs by row and column of a frame of the sensor type.
     digest, record_digest, file, signature : digests, file and signature as in
         :class:`~cbsr_qa.domain.results.calibration.Calibration`.
@@ -168,6 +170,7 @@ class PressCalibration:
     modelled: ModelledPlace | None = None
     force: Annotated[LearnedQuantity | None, Kept(units="N")] = None
     depth: Annotated[LearnedQuantity | None, Kept(units="mm")] = None
+    standards: Annotated[tuple[ReferenceStandard, ...], Kept("standards/", since=5)] = ()
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

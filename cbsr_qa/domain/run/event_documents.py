@@ -16,6 +16,7 @@ from cbsr_qa.domain.run.run import (
     InstrumentIdentity,
     PhaseFinished,
     PhaseStarted,
+    PressDecided,
     RunConcluded,
     RunEnded,
     RunEvent,
@@ -52,7 +53,14 @@ def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
 
 @document_of.register
 def _itself(
-    event: PhaseFinished | RunPaused | RunContinued | PromptShown | PromptAnswered | Unloaded | StepRetried,
+    event: PhaseFinished
+    | RunPaused
+    | RunContinued
+    | PromptShown
+    | PromptAnswered
+    | Unloaded
+    | PressDecided
+    | StepRetried,
 ) -> object:
     return event
 
@@ -155,6 +163,7 @@ EventDocument = (
     | SamplesTakenDocument
     | Unloaded
     | LoadFinishedDocument
+    | PressDecided
     | StepRetried
     | PhaseFinished
     | RunPaused

@@ -186,6 +186,44 @@ class RunSession:
 
 
 @dataclass(frozen=True, slots=True)
+class PressDecided:
+    """What was decided after some presses of a phase: which one is next, or that the phase ends.
+
+    ``pressed`` counts the phase's presses so far. ``load``, ``label``, ``x_mm`` and ``y_mm`` are the next press; None
+    and empty at the end. ``expected_N`` is the expected force error of what was learned so far, ``upper_N`` its upper
+    bound, over the loads that matter, and ``floor_N`` what would remain if the map were known; None if nothing could
+    be learned yet. ``why`` is ``start``, ``error``,
+    ``target`` (it ends: the bound is at or below the target) or ``most presses`` (it ends).
+    """
+
+    type: Literal["press_decided"] = field(default="press_decided", kw_only=True, repr=False)
+    phase: int
+    pressed: int
+    load: int | None
+    label: str
+    x_mm: float | None
+    y_mm: float | None
+    expected_N: float | None
+    upper_N: float | None
+    floor_N: float | None
+    why: str
+    time_s: float
+
+    @property
+    def ends(self) -> bool:
+        return self.load is None
+
+    @property
+    def end_words(self) -> str:
+        """The end of a phase for people, with the error that was reached."""
+        why = "the target was reached" if self.why == "target" else "no more presses were allowed"
+        if self.expected_N is None or self.upper_N is None or self.floor_N is None:
+            return f"{why}; nothing could be learned about the force"
+        words = f"{why}: {self.expected_N:.3g} N expected, the bound is {self.upper_N:.3g} N"
+        return words if self.why == "target" else f"{words}; {self.floor_N:.3g} N remain however many presses"
+
+
+@dataclass(frozen=True, slots=True)
 class RunRecord:
     """A whole run, the only input of its analysis.
 
@@ -202,6 +240,7 @@ class RunRecord:
     chain : state of the digests it is under, checked when it was loaded.
     gate : answers of the checks before the run, and of those asked again when it was resumed.
     chain_head : digest of the last link that was checked then; empty where the run has no chain.
+    decisions : what was decided between presses of a sequence that decides, in order.
     """
 
     identity: RunIdentity
@@ -220,6 +259,18 @@ class RunRecord:
     chain: ChainState = field(default_factory=ChainState)
     gate: tuple[GateAnswer, ...] = ()
     chain_head: str = field(default="", compare=False)
+    decisions: tuple[PressDecided, ...] = ()
+
+    @property
+    def presses(self) -> int:
+        """Number of presses of all phases."""
+        return sum(len(phase.loads) + len(phase.loops) for phase in self.phases)
+
+    @property
+    def error_by_minute(self) -> tuple[tuple[float, float], ...]:
+        """Station time [min] and expected force error [N] at each decision between presses."""
+        known = [(made.time_s, made.expected_N) for made in self.decisions if made.expected_N is not None]
+        return tuple((round(time_s / 60, 3), float(f"{error_N:.4g}")) for time_s, error_N in known)
 
     def phase(self, name: str) -> PhaseRecord:
         """Return a phase by its name in the recipe.
@@ -350,6 +401,7 @@ RunEvent = (
     | SamplesTaken
     | Unloaded
     | LoadFinished
+    | PressDecided
     | StepRetried
     | PhaseFinished
     | AttendanceEvent

@@ -105,19 +105,21 @@ def imaging_problem(
         positive finite number or too far from the others, or a sample or measured frame does not fit or is not
         finite.
     """
-    mesh, jacobian, reference = _nominal(sensor_type, float(image_size_mm))
     is_usable = sensor_type.pattern.usable()
     used = is_usable if used is None else np.array(used, dtype=np.bool_)
     _check_used(sensor_type.pattern, used)
     if not (used & is_usable).any():  # readings across driven electrodes are all there is
         is_usable = used
-    full = ImagingProblem(sensor_type, mesh, jacobian[is_usable], reference[is_usable], is_usable)
+    prepared = is_usable | used
+    mesh, reference = nominal_image_mesh(sensor_type, float(image_size_mm)), _nominal_reference(sensor_type)
+    jacobian = _nominal_jacobian(sensor_type, float(image_size_mm), prepared.tobytes())
+    full = ImagingProblem(sensor_type, mesh, jacobian[is_usable[prepared]], reference[is_usable], is_usable)
     if noise_variance is None and sample is None and measured is None and np.array_equal(used, is_usable):
         return full
     return ImagingProblem(
         sensor_type,
         mesh,
-        jacobian[used],
+        jacobian[used[prepared]],
         reference[used],
         used,
         None if noise_variance is None else _relative_variance(real_numbers(noise_variance, "noise variances"), used),
@@ -179,19 +181,36 @@ def _disc_change(sensor_type: SensorType, x_mm: float, y_mm: float, radius_mm: f
 
 
 @lru_cache(maxsize=8)
-def _nominal(sensor_type: SensorType, image_size_mm: float) -> tuple[Mesh, Array, Array]:
-    """Image mesh, Jacobian (drives, measures, e) and reference (drives, measures)."""
-    model = nominal_model(sensor_type)
-    mesh = image_mesh(sensor_type, size_mm=image_size_mm)
+def nominal_image_mesh(sensor_type: SensorType, image_size_mm: float) -> Mesh:
+    """Mesh of the images of a sensor type; made once per process, sensor type and size."""
+    return image_mesh(sensor_type, size_mm=image_size_mm)
+
+
+@lru_cache(maxsize=8)
+def _nominal_reference(sensor_type: SensorType) -> Array:
+    """Readings (drives, measures) of the unloaded sheet."""
+    reference = nominal_model(sensor_type).voltages()
+    reference.flags.writeable = False  # shared by all callers
+    return reference
+
+
+@lru_cache(maxsize=8)
+def _nominal_jacobian(sensor_type: SensorType, image_size_mm: float, readings: bytes) -> Array:
+    """Jacobian (m, e) of some readings, given as the bytes of their mask (drives, measures).
+
+    Reciprocal readings are computed once. Readings that are not asked for cost nothing: an ohmmeter reads only the
+    diagonal of its pattern.
+    """
+    mask = np.frombuffer(readings, dtype=np.bool_).reshape(sensor_type.pattern.shape)
     group, sign = sensor_type.pattern.reading_groups()
-    _, first_readings, number = np.unique(group, return_index=True, return_inverse=True)
-    drive, measure = np.unravel_index(first_readings, group.shape)
-    distinct_rows = image_jacobian(model, mesh, drive, measure)
-    number = number.reshape(group.shape)
-    jacobian = distinct_rows[number] * (sign * sign.ravel()[first_readings][number])[..., None]
-    reference = model.voltages()
-    jacobian.flags.writeable = reference.flags.writeable = False  # shared by all callers
-    return mesh, jacobian, reference
+    _, first_readings = np.unique(group, return_index=True)
+    asked, number = np.unique(group[mask], return_inverse=True)
+    drive, measure = np.unravel_index(first_readings[asked], group.shape)
+    mesh = nominal_image_mesh(sensor_type, image_size_mm)
+    distinct_rows = image_jacobian(nominal_model(sensor_type), mesh, drive, measure)
+    jacobian: Array = distinct_rows[number] * (sign[mask] * sign.ravel()[first_readings[asked]][number])[:, None]
+    jacobian.flags.writeable = False  # shared by all callers
+    return jacobian
 
 
 def _check_used(pattern: DrivePattern, used: Mask) -> None:

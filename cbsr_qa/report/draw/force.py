@@ -17,6 +17,7 @@ from cbsr_qa.report.draw.style import BLUE, FAINT, INK, QUIET, VERMILION, canvas
 _FURTHEST: Final = 1.5
 _BANDS: Final = ((2.0, 0.10), (1.0, 0.16))
 _STEPS: Final = 60
+_OPEN: Final = "open: repeated presses of one place"
 #: Colour of loads without the effect that the figure shows.
 _FAINT_MARK: Final[dict[str, Any]] = {
     "markersize": 2.8,
@@ -67,6 +68,8 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
         upper_axes = plot(figure, (panel_left, 0.50, 0.395, 0.455), panel.title, y=labels[0], grid="both")
         lower_axes = plot(figure, (panel_left, 0.09, 0.395, 0.345), x="measured force [N]", y=labels[1])
         _draw_estimates(upper_axes, panel, largest)
+        if not panel.sampled.all():
+            upper_axes.text(0.03, 0.93, _OPEN, transform=upper_axes.transAxes, fontsize=6.5, color=QUIET, va="top")
         _draw_errors(lower_axes, panel, flat, largest, reach)
     return figure
 

@@ -58,6 +58,22 @@ def _draw_bars(axes: Axes, budget: Budget) -> None:
     axes.set_title(f"{budget.title}: {duration(total)}", x=0, pad=3)
 
 
+@draw_svg
+def error_figure(minutes: Sequence[float], expected_N: Sequence[float], upper_N: Sequence[float]) -> Canvas:
+    """Draw the expected error of force against station time, and its upper bound, on a logarithmic scale."""
+    figure = canvas(2.0)
+    axes = figure.add_axes((0.09, 0.22, 0.88, 0.72))
+    axes.plot(minutes, upper_N, color=QUIET, linewidth=0.9)
+    axes.plot(minutes, expected_N, color=BLUE, marker="o", markersize=3)
+    axes.set_yscale("log")
+    axes.set_xlabel("station time [min]")
+    axes.set_ylabel("force error [N]")
+    light_grid(axes)
+    for value, colour, label in ((upper_N[-1], QUIET, "upper bound"), (expected_N[-1], BLUE, "expected")):
+        annotate(axes, f"{label} {value:.3g} N", (minutes[-1], value), (-4, 6), ha="right", color=colour)
+    return figure
+
+
 #: More points than a line on a page can show are drawn as the extremes of each stretch.
 _POINTS: Final = 1600
 

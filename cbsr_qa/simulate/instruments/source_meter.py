@@ -76,6 +76,12 @@ _ATTRIBUTES: Final[Mapping[str, tuple[float, float, float]]] = {
 }
 
 
+_CHANNEL_FUNCTIONS: Final = (
+    *("reset", "abort", "nvbuffer1.clear"),
+    *(f"measure.{quantity}" for quantity in "virp"),
+)
+
+
 @dataclass(slots=True)
 class _Buffer:
     readings: list[float] = field(default_factory=list)
@@ -153,7 +159,7 @@ class EmulatedSourceMeter:
 
     def call(self, name: str, arguments: Sequence[Any]) -> tuple[Any, ...]:
         channel, _, function = name.partition(".")
-        if channel in self._buffers and function in ("reset", "nvbuffer1.clear", "measure.v", "measure.i", "abort"):
+        if channel in self._buffers and function in _CHANNEL_FUNCTIONS:
             return self._call_channel(channel, function, arguments)
         if name == "reset":
             self._reset()
@@ -221,8 +227,23 @@ class EmulatedSourceMeter:
         return ()
 
     def _measure(self, channel: str, quantity: str, buffer: _Buffer | None = None) -> float:
-        """Take one reading, with its duration; put it into a buffer."""
+        """Take one reading (of v, i, r = v/i or p = v i), with its duration; put it into a buffer."""
         self._rig.clock.sleep(self._attributes[f"{channel}.measure.nplc"] / _LINE_HZ)
+        if quantity in "vi":
+            value = self._measure_in_range(channel, quantity)
+        else:
+            volts, amperes = (self._measure_in_range(channel, measured) for measured in "vi")
+            overflows = NO_NUMBER in (volts, amperes) or (quantity == "r" and amperes == 0)
+            value = NO_NUMBER if overflows else volts * amperes if quantity == "p" else volts / amperes
+        if buffer is not None:
+            if not self._attributes[f"{channel}.nvbuffer1.appendmode"]:
+                buffer.clear()
+            buffer.readings.append(value)
+            buffer.statuses.append(float(_COMPLIANCE if self._is_limited(channel) else 0))
+        return value
+
+    def _measure_in_range(self, channel: str, quantity: str) -> float:
+        """Return volts or amperes of a channel; the instrument's number for "overflow" beyond its range."""
         if quantity == "v":
             value = self._volts(channel)
         elif channel == self._drives:
@@ -231,13 +252,7 @@ class EmulatedSourceMeter:
             value = 0.0
         limit = self._attributes[f"{channel}.measure.range{quantity}"] * _OVERRANGE
         ranges_itself = self._attributes[f"{channel}.measure.autorange{quantity}"] == 1
-        value = value if ranges_itself or abs(value) <= limit else NO_NUMBER
-        if buffer is not None:
-            if not self._attributes[f"{channel}.nvbuffer1.appendmode"]:
-                buffer.clear()
-            buffer.readings.append(value)
-            buffer.statuses.append(float(_COMPLIANCE if self._is_limited(channel) else 0))
-        return value
+        return value if ranges_itself or abs(value) <= limit else NO_NUMBER
 
     def _volts(self, channel: str) -> float:
         electrical = self._rig.electrical()

@@ -2,7 +2,7 @@
 
 import math
 import threading
-from collections.abc import Iterable, Mapping
+from collections.abc import Collection, Iterable, Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Final
 
@@ -41,19 +41,29 @@ class RunStatus:
     _now: Activity = field(default_factory=Activity)
     _keys: list[LoadKey] = field(default_factory=list)
     _loads: list[PlannedLoad] = field(default_factory=list)
+    _most: int | None = None
+    _begun: int = 0
     _names: dict[int, str] = field(default_factory=dict)
     _warnings: list[str] = field(default_factory=list)
     _lock: threading.Lock = field(default_factory=threading.Lock)
 
     def plan(
-        self, phases: Mapping[int, str], presses: Iterable[tuple[LoadKey, Press]], done: frozenset[LoadKey]
+        self,
+        phases: Mapping[int, str],
+        presses: Iterable[tuple[LoadKey, Press]],
+        done: Collection[LoadKey],
+        most: int | None = None,
     ) -> None:
-        """State what will be pressed, and what an earlier session has done."""
+        """State what will be pressed, and what an earlier session has done.
+
+        ``most``: most presses that will be made, if phases choose among those listed.
+        """
         with self._lock:
             self._names, self._keys, self._loads = dict(phases), [], []
             for key, press in presses:
                 self._keys.append(key)
                 self._loads.append(_plan_load(self._names[key[0]], press.load, done=key in done))
+            self._most, self._begun = most, len(done)
             self._set(phases=len(phases), next=self._find_next())
 
     def doing(self, what: str) -> None:
@@ -124,12 +134,16 @@ class RunStatus:
             # The first of its phase with this place, strain and trial that is not done.
             wanted = _plan_load(self._names.get(event.phase, ""), event.step.load, done=False)
             numbers = (n for n, key in enumerate(self._keys) if key[0] == event.phase and self._loads[n] == wanted)
+            self._begun += 1
             of = len(self._loads)
-            load = LoadUnderWay(number=1 + next(numbers, of - 1), of=of, **vars(wanted))
+            number = 1 + next(numbers, of - 1) if self._most is None else self._begun
+            load = LoadUnderWay(number=number, of=self._most or of, **vars(wanted))
             self._set(load=load, next=None)
 
     def _find_next(self) -> Numbered | None:
-        """Return which press is the first that is not done; None if all are."""
+        """Return which press is the first that is not done; None if all are, or it is still to be decided."""
+        if self._most is not None:
+            return None
         left = (number for number, load in enumerate(self._loads, start=1) if not load.done)
         return next((Numbered(number, len(self._loads)) for number in left), None)
 

@@ -19,6 +19,7 @@ from cbsr_qa.store.prepared import prepare
 from cbsr_qa.store.tables.records import FEW_LINKS, LinkRow
 from cbsr_qa.store.tables.runs import (
     AttendanceRow,
+    DecisionRow,
     FrameBlockRow,
     LoadRow,
     PhaseRow,
@@ -91,7 +92,16 @@ def _insert(connection: Connection, table: Any, rows: Sequence[Mapping[str, Any]
 #: What a session stores as it goes on. It is not announced, document by document: an open run stays in the outbox.
 OF_A_SESSION: Final = frozenset(
     table_row.__tablename__
-    for table_row in (PhaseRow, StepRow, FrameBlockRow, SampleBlockRow, LoadRow, UnloadedMarkRow, AttendanceRow)
+    for table_row in (
+        PhaseRow,
+        StepRow,
+        FrameBlockRow,
+        SampleBlockRow,
+        LoadRow,
+        UnloadedMarkRow,
+        AttendanceRow,
+        DecisionRow,
+    )
 )
 
 _NEWEST: Final = (

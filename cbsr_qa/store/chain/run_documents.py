@@ -46,6 +46,7 @@ from cbsr_qa.store.tables.results import (
 from cbsr_qa.store.tables.runs import (
     AttendanceRow,
     Base,
+    DecisionRow,
     FrameBlockRow,
     InstrumentRow,
     LoadRow,
@@ -78,6 +79,7 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (LoadRow, ("phase", "load_index")),
         (UnloadedMarkRow, ("phase", "mark")),
         (AttendanceRow, ("phase", "entry")),
+        (DecisionRow, ("phase", "pressed")),
         (AnalysisRow, ("analysis",)),
         (WarningRow, ("analysis",)),
         (MeasurementRow, ("analysis",)),

@@ -22,6 +22,7 @@ from cbsr_qa.domain.run.run import (
     LoadFinished,
     PhaseFinished,
     PhaseStarted,
+    PressDecided,
     RunEnded,
     RunEvent,
     RunIdentity,
@@ -35,6 +36,7 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.engine import writing
+from cbsr_qa.store.mapping import row_of
 from cbsr_qa.store.runs.attendance import attendance_values
 from cbsr_qa.store.runs.codec import encode_setting, frame_values, sample_block, sample_values
 from cbsr_qa.store.runs.configuration_changes import note_changes
@@ -42,6 +44,7 @@ from cbsr_qa.store.runs.gate_answers import add_answers
 from cbsr_qa.store.runs.rows import begin_run, current_state, phases_of, run_row
 from cbsr_qa.store.tables.runs import (
     AttendanceRow,
+    DecisionRow,
     FrameBlockRow,
     LoadRow,
     PhaseEndRow,
@@ -93,6 +96,7 @@ _TIMES = (
     (LoadRow, LoadRow.rest_end_s),
     (UnloadedMarkRow, UnloadedMarkRow.time_s),
     (AttendanceRow, AttendanceRow.time_s),
+    (DecisionRow, DecisionRow.time_s),
     (PhaseRow, PhaseRow.started_s),
     (PhaseEndRow, PhaseEndRow.ended_s),
 )
@@ -241,6 +245,12 @@ class Journal:
     @_store.register(PromptAnswered)
     def _(self, event: AttendanceEvent, connection: Connection) -> None:
         self._add(connection, AttendanceRow.entry, event.phase, attendance_values(event))
+
+    @_store.register
+    def _(self, event: PressDecided, connection: Connection) -> None:
+        errors = {"expected_n": event.expected_N, "upper_n": event.upper_N, "floor_n": event.floor_N}
+        row = row_of(DecisionRow, event, run=self._run, load_index=event.load, **errors)
+        add_rows(connection, self._run, DecisionRow, [row])
 
     @_store.register
     def _(self, event: LoadFinished, connection: Connection) -> None:

@@ -6,14 +6,22 @@ from sqlalchemy import Connection, Row, Select, insert, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
-from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
+from cbsr_qa.domain.run.run import InstrumentIdentity, PressDecided, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.chain.links import add_rows, new_chain
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.runs.begun import note_begun, run_before
-from cbsr_qa.store.tables.runs import InstrumentRow, PhaseEndRow, PhaseRow, RunRow, RunStateRow, SensorRow
+from cbsr_qa.store.tables.runs import (
+    DecisionRow,
+    InstrumentRow,
+    PhaseEndRow,
+    PhaseRow,
+    RunRow,
+    RunStateRow,
+    SensorRow,
+)
 
 
 def begin_run(connection: Connection, identity: RunIdentity, configuration: str, setting: dict[str, Any]) -> None:
@@ -63,6 +71,23 @@ def load_record(row: Any) -> LoadRecord:
         index=row.load_index,
         load=convert_row(Load, row),
         eased=tuple(EasedStrain(*map(float, step)) for step in row.eased or ()),
+    )
+
+
+def decisions_of(connection: Connection, run: str) -> tuple[PressDecided, ...]:
+    """Return the decisions of a run in their order."""
+    query = select(*DecisionRow.__table__.columns).where(DecisionRow.run == run)
+    rows = connection.execute(query.order_by(DecisionRow.phase, DecisionRow.pressed))
+    return tuple(
+        convert_row(
+            PressDecided,
+            row,
+            load=row.load_index,
+            expected_N=row.expected_n,
+            upper_N=row.upper_n,
+            floor_N=row.floor_n,
+        )
+        for row in rows
     )
 
 

@@ -35,7 +35,7 @@ from cbsr_qa.store.runs.codec import (
 )
 from cbsr_qa.store.runs.gate_answers import answers_of
 from cbsr_qa.store.runs.journal import last_time_s
-from cbsr_qa.store.runs.rows import current_state, identity_of, load_record, phases_of, run_row
+from cbsr_qa.store.runs.rows import current_state, decisions_of, identity_of, load_record, phases_of, run_row
 from cbsr_qa.store.runs.sessions import Span, sessions_of, spans_that_count, within
 from cbsr_qa.store.runs.standing import standing_of
 from cbsr_qa.store.runs.verdicts import read_verdicts
@@ -119,6 +119,7 @@ class Runs:
                     prompts=prompts_of(attended),
                     chain=chain,
                     chain_head=head,
+                    decisions=decisions_of(connection, run),
                     gate=answers_of(connection, run),
                 )
             except StoreError:
@@ -183,12 +184,13 @@ class Runs:
             check_run(connection, run)
             key_to_continue(connection, run, _find_run(connection, run).chain)
 
-    def list_finished_loads(self, run: str) -> frozenset[tuple[int, int]]:
-        """Return (phase, index) of every finished press, which a resumed run does not repeat."""
+    def list_finished_loads(self, run: str) -> tuple[tuple[int, int], ...]:
+        """Return (phase, index) of every finished press in the order of pressing; a resumed run repeats none."""
         with reading(self._engine) as connection:
             _find_run(connection, run)
-            rows = connection.execute(select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run))
-            return frozenset((phase, load) for phase, load in rows)
+            query = select(LoadRow.phase, LoadRow.load_index).where(LoadRow.run == run)
+            rows = connection.execute(query.order_by(LoadRow.press_start_s, LoadRow.load_index))
+            return tuple((phase, load) for phase, load in rows)
 
     def list_ended_phases(self, run: str) -> frozenset[int]:
         """Return the phases whose last step was carried out, which a resumed run skips."""

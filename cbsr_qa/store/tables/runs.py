@@ -255,6 +255,26 @@ class AttendanceRow(Base):
     time_s: Mapped[float]
 
 
+class DecisionRow(Base):
+    """What was decided after some presses of a phase: which is next, or that the phase ends."""
+
+    __tablename__ = "decisions"
+    __table_args__ = (_phase_key(), NO_ROWID)
+
+    run: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    phase: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    pressed: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)  #: presses of the phase so far
+    load_index: Mapped[int | None]  #: of the next press; None: the phase ends
+    label: Mapped[str]  #: of the next press
+    x_mm: Mapped[float | None]
+    y_mm: Mapped[float | None]
+    expected_n: Mapped[float | None]  #: expected force error of what was learned so far [N]; None: nothing was
+    upper_n: Mapped[float | None]  #: its upper bound [N]
+    floor_n: Mapped[float | None]  #: what would remain if the map were known [N]
+    why: Mapped[str] = mapped_column(Word(16))  #: "start", "error", "target" or "most presses"
+    time_s: Mapped[float]
+
+
 class UnloadedMarkRow(Base):
     """Time from which the sheet counted as rested; a resumed phase has one per session, the latest holds."""
 

@@ -31,7 +31,7 @@ _LIMITS: Final = {
 _NOTHING: Final = "Nothing is charted now."
 
 # Sentences, in reading order.
-_SIGNALS: Final = "{signals} of {charts} of {station} signals; the first: {words}"
+_SIGNALS: Final = "{signals} of {charts} of {station} {verb}; the first: {words}"
 _WELL: Final = "no signal on {charts} of {station}"
 _RETIRED: Final = "all charts of {station} and this recipe are retired"
 _SET: Final = "{chart} set{by} on {day}{why}{rules}"
@@ -79,7 +79,9 @@ def _banner(found: Charts, charted: int) -> Banner:
     station, charts = prefix_kind("station", found.station), plural(charted, "chart")
     if not found.in_control:
         first = min(found.signals, key=lambda signal: signal.since).words()
-        reason = _SIGNALS.format(signals=len(found.signals), charts=charts, station=station, words=first)
+        count = len(found.signals)
+        verb = "signals" if count == 1 else "signal"
+        reason = _SIGNALS.format(signals=count, charts=charts, station=station, verb=verb, words=first)
         return Banner("fail", "✗", "Out of control", reason)
     if not charted:
         return Banner("plain", _NONE, "Nothing is charted", _RETIRED.format(station=station))

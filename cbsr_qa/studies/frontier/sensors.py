@@ -19,7 +19,7 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.plugin.interfaces import Reconstruction, Sequence as LoadSequence, SequenceContext
+from cbsr_qa.plugin.interfaces import AdaptiveSequence, Reconstruction, Sequence as LoadSequence, SequenceContext
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.plan import Plan
 from cbsr_qa.station.setup import plan_of
@@ -95,6 +95,8 @@ class _Sparse:
     def __init__(self, sequence: LoadSequence, frame_s: float, whole_holds: bool) -> None:
         self._sequence, self._frame_s, self._whole_holds = sequence, frame_s, whole_holds
         self.role = getattr(sequence, "role", Role.OTHER)
+        if isinstance(sequence, AdaptiveSequence):
+            self.goal = sequence.goal
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
         holds_whole, kept_s = False, _FRAMES_BEFORE * self._frame_s

@@ -159,7 +159,8 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         chosen_metrics = choose_metrics(table, request, lines)
         notes += likeness_notes(store, lines)
     metrics = tuple(_metric(toleranced, request) for toleranced in chosen_metrics)
-    _check_any(metrics, largest_balanced=request.largest_balanced)
+    sensors = tuple(sorted({line.serial for line in lines}))
+    _check_any(metrics, sensors, largest_balanced=request.largest_balanced)
     return fill_from_object(
         GaugeStudy,
         request,
@@ -167,7 +168,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         since=request.runs.since,
         until=request.runs.until,
         recipe=lines[0].recipe,
-        sensors=tuple(sorted({line.serial for line in lines})),
+        sensors=sensors,
         stations=tuple(sorted({line.station for line in lines})),
         appraisers=tuple(sorted({appraiser_of(line, request.appraiser) for line in lines})),
         runs=tuple(line.run for line in lines),
@@ -244,18 +245,21 @@ def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], req
     )
 
 
-def _check_any(metrics: Sequence[MetricGauge], *, largest_balanced: bool) -> None:
+def _check_any(metrics: Sequence[MetricGauge], sensors: Sequence[str], *, largest_balanced: bool) -> None:
     if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
     first_metric = metrics[0]
     reason = f"{first_metric.title}: {first_metric.why}"
     reason += f"; uneven: {list_names(first_metric.missing)}" if first_metric.missing else ""
     reason += "".join(f"; {note}" for note in first_metric.notes)
-    reason += f"\nand of {plural(len(metrics) - 1, 'more metric')}" if len(metrics) > 1 else ""
+    if len(metrics) > 1:
+        others = "other metric" if len(metrics) == 2 else f"other {len(metrics) - 1} metrics"
+        reason += f"\nthe {others} cannot be studied either"
     is_uneven = any(metric.missing for metric in metrics) and not largest_balanced
-    raise RefusedError(
-        f"no gauge study can be made of these runs: {reason}",
-        remedy="add the missing runs, or study the largest balanced part with --largest-balanced"
-        if is_uneven
-        else "a study needs two sensors, on two stations (or by two operators), twice each, that differ",
-    )
+    remedy = "a study needs two sensors, on two stations (or by two operators), twice each, that differ"
+    if is_uneven:
+        remedy = "add the missing runs, or study the largest balanced part with --largest-balanced"
+    if len(sensors) == 1:
+        true_value = f"'{sensors[0]}.{first_metric.name}=VALUE±U {first_metric.unit}'"
+        remedy += f"; a single sensor of known value makes a type 1 study (Cg, Cgk): --reference {true_value}"
+    raise RefusedError(f"no gauge study can be made of these runs: {reason}", remedy=remedy)

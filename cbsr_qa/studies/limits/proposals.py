@@ -13,11 +13,11 @@ from cbsr_qa.domain.results.fleet import MetricKey
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.stats.golden_lots import Ask, Bound, LotLimits, Runs, lot_limits, outward
 from cbsr_qa.stats.guard_bands import Risks, Uncertainty, repeatability, risks
-from cbsr_qa.stats.intervals import count_needed
 from cbsr_qa.stats.lot_shapes import Distribution
 from cbsr_qa.stats.variance_components import FEWEST_REPEATS
 from cbsr_qa.studies.limits.golden_lot import Lot
 from cbsr_qa.studies.limits.groups import Group
+from cbsr_qa.studies.limits.promise import describe_condition
 from cbsr_qa.system.words import echo
 
 _DISTRIBUTIONS: Final = {
@@ -27,19 +27,6 @@ _DISTRIBUTIONS: Final = {
     "heavy": Distribution.HEAVY,
     "any": Distribution.ANY,
 }
-
-# Conditions of the promise, in words that follow "holds".
-_WHATEVER: Final = "whatever the distribution of sensors is"
-_AS_STATED: Final = "if sensors are {distribution}, as stated"
-_UP_TO_STUDENT: Final = "for tails up to those of Student's t with {freedom} degrees of freedom"
-_FOR_FAMILIES: Final = (
-    "for normal, log-normal, Weibull and gamma distributions of a run's worst value, and {tails}{heavier}; {one}"
-    " sensors for one bound, {two} for two, need no condition"
-)
-#: Share as measured for 99 % and 95 %, see benchmarks/limit_promises.py.
-_HEAVIER: Final = " (kept by 91 % of such lots of 30; --distribution heavy: 3)"
-#: Sensors from which limits hold for Student's t with 3 degrees of freedom, see benchmarks/limit_promises.py.
-_SHOWS_HEAVY_TAILS: Final = 100
 
 # Reasons for missing guard bands or risks.
 _NOTHING_LEFT: Final = "guard bands of {width:.3g} {unit} would leave nothing between the limits: measure better"
@@ -227,7 +214,7 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         upper=upper,
         marginal=width,
         bounds=bounds,
-        condition=_describe_condition(bounds.values(), len(group.sensors), terms),
+        condition=describe_condition(bounds.values(), len(group.sensors), terms.distribution),
         positive=all(value > 0 for values in values_by_sensor for value in values),
         uncertainty=of_run,
         risks=found_risks,
@@ -239,19 +226,6 @@ def propose(group: Group, lot: Lot, terms: Terms) -> ProposedLimit | NoLimit:
         lot_fails=_list_failing(group, limit),
         lot_marginal=_list_failing(group, limit, Outcome.MARGINAL),
     )
-
-
-def _describe_condition(bounds: Collection[Bound], sensors: int, terms: Terms) -> str:
-    if all(bound.distribution is Distribution.ANY for bound in bounds):
-        return _WHATEVER
-    if terms.distribution is Distribution.HEAVY:
-        return _UP_TO_STUDENT.format(freedom=3)
-    if terms.distribution is not None:
-        return _AS_STATED.format(distribution=terms.distribution)
-    is_large = sensors >= _SHOWS_HEAVY_TAILS
-    one, two = (count_needed(terms.coverage, terms.confidence, sides) for sides in (1, 2))
-    tails = _UP_TO_STUDENT.format(freedom=3 if is_large else 5)
-    return _FOR_FAMILIES.format(tails=tails, heavier="" if is_large else _HEAVIER, one=one, two=two)
 
 
 def _pick_worst(group: Group, worst: Callable[[list[float]], float]) -> Runs:
@@ -310,9 +284,8 @@ def _uncertainty(group: Group, bounds: Iterable[str], lot: Lot) -> tuple[Uncerta
     few_words = _NEVER_TWICE if not repeats else _NO_SPREAD
     if 0 < repeats < FEWEST_REPEATS:
         few_words = _FEW_REPEATS.format(repeats=repeats, least=FEWEST_REPEATS)
-    return None, _UNSTATED.format(
-        few=few_words, silent=len(stated_uncertainties) - len(known_uncertainties), values=len(stated_uncertainties)
-    )
+    stated = [bool(measurement.uncertainty) for run in runs for measurement in run]
+    return None, _UNSTATED.format(few=few_words, silent=stated.count(False), values=len(stated))
 
 
 def _risks(

@@ -9,7 +9,15 @@ from cbsr_qa.report.tables import list_names, number, plural, text_table, unit_s
 from cbsr_qa.stats.averaged_bound import CONTAMINATED, HEAVIEST
 from cbsr_qa.stats.golden_lots import Bound
 from cbsr_qa.stats.guard_bands import Risks
+from cbsr_qa.stats.intervals import count_needed
 from cbsr_qa.stats.lot_shapes import Distribution
+from cbsr_qa.studies.limits.promise import (
+    KEPT_PERCENT,
+    LOT_SIZES,
+    MEASURED_FOR,
+    exceeds_share,
+    warn_of_few_sensors,
+)
 from cbsr_qa.studies.limits.proposals import ProposedLimit
 from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_others, lot_words
 
@@ -23,7 +31,7 @@ _EACH: Final = (
     "each holds {coverage:g} % of good sensors, with {confidence:g} % confidence, if the condition in the notes holds"
     "{together}; {fails}"
 )
-_TOGETHER: Final = "; all {count} together may fail up to {percent:.3g} %"
+_TOGETHER: Final = "; the {count} together may fail up to {percent:.3g} %"
 _LOT_FAILS: Final = "of this lot {failing} of {sensors} sensors fail{names}"
 _LIMITS: Final = (
     "Mean of all values, deviation of the sensors' worst values, proposed limits with guard band; sensors of the lot "
@@ -42,9 +50,18 @@ _HEAVY_LOT: Final = (
     "{label}: the lot itself looks heavier-tailed than its condition ({families}): the promise may not hold; find out"
     " why some sensors are far from the others, or give --distribution heavy."
 )
+_NO_CONDITION: Final = "No condition is needed from {one} sensors on for one bound, from {two} for two."
+_KEPT: Final = (
+    "Simulated lots that keep the promise of {coverage:g} % with {confidence:g} % confidence, in %, by the number of"
+    " sensors and what they are like; --distribution heavy keeps it for Student's t with 3 degrees of freedom."
+)
 _NO_GUARD: Final = "{label}: no guard band: {why}."
 _NO_RISKS: Final = "{label}: no risks: {why}."
-_NEGATIVE: Final = "{label}: the lower limit is not above 0, although all values are: no value can fail it."
+_NEGATIVE: Final = (
+    "{label}: the lower limit is not above 0, although all values are: no value can fail it if the quantity is never"
+    " negative. Then --distribution log-normal gives one above 0."
+)
+_ABOVE_SHARE: Final = "{label}: the upper limit is not below 100 %, which no value exceeds: no value can fail it."
 _BOTH: Final = "{label}: limited on both sides, because the recipe sets no limit."
 _FAR: Final = "{label}: {serials} far from the others, but part of the lot; limit without: {limits}."
 _NOT_PROPOSED: Final = "{label}: no limit is proposed: {why}{far}."
@@ -194,32 +211,56 @@ def _guards(guarded: list[ProposedLimit], factor: float) -> Table:
     return text_table(_GUARD.format(factor=factor), columns, rows, (1, 2, 5, 6, 7, 8, 9))
 
 
-def _notes(proposed: ProposedLimits) -> Iterator[Paragraph]:
+def _notes(proposed: ProposedLimits) -> Iterator[Block]:
+    yield from _describe_promise(proposed)
+    yield from _warn_of_heavy_lots(proposed.limits)
+    for limit in proposed.limits:
+        yield from _describe_limit(limit)
+    for none in proposed.not_proposed:
+        text = _NOT_PROPOSED.format(label=none.label, why=none.why, far=far_from_others(none))
+        yield Paragraph(text, "warning")
+
+
+def _describe_promise(proposed: ProposedLimits) -> Iterator[Block]:
+    """Yield the condition of the promise, and what is known of lots that keep it."""
     labels: dict[str, list[str]] = {}
     for limit in proposed.limits:
         labels.setdefault(limit.condition, []).append(limit.label)
     for condition, members in labels.items():
         yield Paragraph(_CONDITION.format(labels=list_names(members), condition=condition), "note")
-    yield from _warn_of_heavy_lots(proposed.limits)
-    for limit in proposed.limits:
-        label = limit.label
-        if limit.far_out:
-            other_limits = limit.without_far_out
-            limits = (
-                "none" if other_limits is None else other_limits.why or _sides(other_limits.lower, other_limits.upper)
-            )
-            yield Paragraph(_FAR.format(label=label, serials=", ".join(limit.far_out), limits=limits), "warning")
-        if limit.uncertainty.standard is None:
-            yield Paragraph(_NO_GUARD.format(label=label, why=limit.uncertainty.source), "note")
-        elif limit.risks is None:
-            yield Paragraph(_NO_RISKS.format(label=label, why=limit.no_risks), "note")
-        if limit.lower is not None and limit.lower <= 0 and limit.positive:
-            yield Paragraph(_NEGATIVE.format(label=label), "note")
-        if limit.present is None:
-            yield Paragraph(_BOTH.format(label=label), "note")
-    for none in proposed.not_proposed:
-        text = _NOT_PROPOSED.format(label=none.label, why=none.why, far=far_from_others(none))
-        yield Paragraph(text, "warning")
+    if any(bound.families for limit in proposed.limits for bound in limit.bounds.values()):
+        one, two = (count_needed(proposed.coverage, proposed.confidence, sides) for sides in (1, 2))
+        yield Paragraph(_NO_CONDITION.format(one=one, two=two), "note")
+        yield _tabulate_kept()
+    if few := warn_of_few_sensors(len(proposed.lot.sensors), proposed.coverage, proposed.confidence):
+        yield Paragraph(few, "warning")
+
+
+def _describe_limit(limit: ProposedLimit) -> Iterator[Paragraph]:
+    label = limit.label
+    if limit.far_out:
+        other_limits = limit.without_far_out
+        limits = (
+            "none" if other_limits is None else other_limits.why or _sides(other_limits.lower, other_limits.upper)
+        )
+        yield Paragraph(_FAR.format(label=label, serials=", ".join(limit.far_out), limits=limits), "warning")
+    if limit.uncertainty.standard is None:
+        yield Paragraph(_NO_GUARD.format(label=label, why=limit.uncertainty.source), "note")
+    elif limit.risks is None:
+        yield Paragraph(_NO_RISKS.format(label=label, why=limit.no_risks), "note")
+    if limit.lower is not None and limit.lower <= 0 and limit.positive:
+        yield Paragraph(_NEGATIVE.format(label=label), "note")
+    if exceeds_share(limit.measurement, limit.upper):
+        yield Paragraph(_ABOVE_SHARE.format(label=label), "note")
+    if limit.present is None:
+        yield Paragraph(_BOTH.format(label=label), "note")
+
+
+def _tabulate_kept() -> Table:
+    coverage, confidence = MEASURED_FOR
+    rows = [(family, *map(str, percents)) for family, percents in KEPT_PERCENT.items()]
+    columns = ("sensors are like", *(f"{size} sensors" for size in LOT_SIZES))
+    return text_table(_KEPT.format(coverage=100 * coverage, confidence=100 * confidence), columns, rows, (1, 2, 3))
 
 
 def _shares(risks: Risks) -> tuple[str, str]:

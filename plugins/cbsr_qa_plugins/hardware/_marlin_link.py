@@ -4,6 +4,7 @@ Lines carry a number and a checksum, so that one that was garbled is asked for a
 can be sent again without being done twice: a printer that has it already says which number it expects next.
 """
 
+import re
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
@@ -31,6 +32,8 @@ _TOKEN_ATTEMPTS: Final = 3
 _BUSY_EVERY_S: Final = 2.5
 #: Commands that are only acknowledged when what they do, or wait for, is over.
 _SLOW_COMMANDS: Final = ("G28", "M400")
+#: An acknowledgement, what firmware with ADVANCED_OK says of its buffers, and what else stands on its line.
+_ACKNOWLEDGED: Final = re.compile(r"ok(?:\s+[NPB]\d+\b)*\s*(.*)")
 _CHECK: Final = "check its address, its cable and its power"
 _HOME: Final = "it must home before it moves again"
 
@@ -68,7 +71,7 @@ class MarlinLink:
         return self._link.down
 
     def command(self, text: str) -> list[str]:
-        """Execute a command, and return the printer's output before its acknowledgement.
+        """Execute a command, and return the printer's output up to its acknowledgement, and on its line.
 
         After a restart lines are counted anew: whether the command may be done is the caller's to know.
         InstrumentError if it is not acknowledged, the printer does not know it, or has restarted.
@@ -181,7 +184,9 @@ class MarlinLink:
         raise self._link.error(f"{text!r} did not get through in {_ATTEMPTS} attempts", remedy=_CHECK)
 
     def _read_answer(self, *, may_take_long: bool) -> tuple[list[str], int | None]:
-        """Read up to the acknowledgement; return the output before it, and the line it requests again, if any.
+        """Read up to the acknowledgement; return the output, and the line that the printer requests again, if any.
+
+        Some firmware writes the answer on the acknowledgement's own line: ``ok X:0.00 Y:0.00 …``.
 
         ``may_take_long``: the command may take long, and the printer says only after a while that it is busy with it.
         """
@@ -192,8 +197,8 @@ class MarlinLink:
         until_s = began_s + (busy_s if may_take_long else self._link.timeout_s)
         while True:
             line = self._read_line(max(until_s - self._time.now(), 0.0))
-            if line.startswith("ok"):
-                return lines, requested
+            if acknowledged := _ACKNOWLEDGED.match(line):
+                return lines + [answer for answer in acknowledged.groups() if answer], requested
             if line.startswith("echo:busy") and self._time.now() < began_s + _BUSY_AT_MOST_S:
                 until_s = self._time.now() + busy_s
             elif line.startswith("Resend:"):

@@ -78,12 +78,13 @@ def _measurements(verified: Verification, how: str) -> tuple[Measurement, ...]:
             load.estimated_N - load.measured_N,
             "N",
             uncertainty=load.stderr_N,
-            how=f"{how}: {load.estimated_N:.3g} N where the load cell has {load.measured_N:.3g} N",
+            how=f"{how}: {load.estimated_N:.3g} N where the load cell has {load.measured_N:.3g} N; ± is"
+            f" {verified.error}",
         )
         for load in verified.loads
     )
     change, stderr = 100 * (verified.sensitivity - 1), 100 * verified.sensitivity_stderr
-    together = f"{how}, {len(verified.loads)} loads"
+    together = f"{how}, {len(verified.loads)} loads; ± is {verified.error}"
     return (
         Measurement("sensitivity_change", change, "%", stderr, how=together),
         *of_loads,

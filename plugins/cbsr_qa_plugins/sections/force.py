@@ -19,14 +19,23 @@ from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.calibration.force.interpolation import interpolate
 from cbsr_qa.calibration.force.learning import LearnedForce
 from cbsr_qa.calibration.force.sheet_pose import SheetPose
-from cbsr_qa.calibration.force.validity import prediction_words
+from cbsr_qa.calibration.force.validity import batch_words, prediction_words
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.plugin import Block, Cell, Figure, Paragraph, RunObservation, RunResult
 from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, force_figure, ratio_figure
 from cbsr_qa.report.draw.maps import SheetField, force_map_figure
 from cbsr_qa.report.section import ObservedSection
-from cbsr_qa.report.tables import number, parameter_text, place_text, plural, text_table, value_cell, with_uncertainty
+from cbsr_qa.report.tables import (
+    capital,
+    number,
+    parameter_text,
+    place_text,
+    plural,
+    text_table,
+    value_cell,
+    with_uncertainty,
+)
 
 #: Cells of the maps across the sheet.
 _ACROSS: Final = 61
@@ -61,6 +70,8 @@ class Force(ObservedSection):
         if run.settings.learn_place:
             yield Paragraph(f"{run_place(run).words}.", "note")
         yield from _prediction_blocks(run, learned)
+        if (batch := learned.model.batch) is not None:
+            yield Paragraph(f"{capital(batch_words(batch))}.", "note" if batch.alike else "warning")
         yield from (Paragraph(words) for words in _describe_tests(tests))
         yield from (_map(run, force, learned), Paragraph(_map_words(run, force, learned)))
         yield from (*_scatter(force, tests), *_results(result))
@@ -94,7 +105,8 @@ def _prediction_blocks(run: RunObservation, learned: LearnedForce) -> list[Block
     """How loads of short holds were used; nothing where all count as they were seen."""
     words = prediction_words(learned)
     if words:
-        return [Paragraph(f"{words}, with the relaxation of the longest holds (transients = predicted).", "note")]
+        source = "" if all(learned.predicted) else ", with the relaxation of the longest holds"
+        return [Paragraph(f"{words}{source} (transients = predicted).", "note")]
     if run.settings.transients == "predicted":
         return [Paragraph("No hold of the calibration was predicted: all were held about as long.", "note")]
     return []
@@ -177,11 +189,11 @@ def _map(run: RunObservation, force: RunForce, learned: LearnedForce) -> Figure:
 
 def _map_words(run: RunObservation, force: RunForce, learned: LearnedForce) -> str:
     quality = map_quality(learned, calibration_radius_mm(force))
-    low, high = float(quality.response.min()), float(quality.response.max())
+    low, high = (number(float(end), 2) for end in (quality.response.min(), quality.response.max()))
     x_mm, y_mm = quality.least_sure_mm
     where = f"({x_mm:.0f}, {y_mm:.0f}) mm".replace("-", "−")
     return (
-        f"In the calibrated area the response is {number(low, 2)} to {number(high, 2)} times the material's"
+        f"In the calibrated area the response is {low if low == high else f'{low} to {high}'} times the material's"
         f" and varies by {number(100 * quality.spread, 2)} %. Its standard error is"
         f" {number(100 * quality.rms_error, 2)} % (root mean square; largest at {where}:"
         f" {number(100 * float(quality.stderr.max()), 2)} %). Single loads scatter about the map by"
@@ -243,7 +255,7 @@ def _results(result: RunResult) -> list[Block]:
             rows.append([f"one response for the whole sheet{after}", value_cell(flat), "–", "–", "–"])
     if not rows:
         return []
-    columns = ("Loads not used", "σ_F [N]", "Bias [N]", "Within 68 % [%]", "Within 95 % [%]")
+    columns = ("Loads not used", "Standard deviation σ_F [N]", "Bias [N]", "Within 68 % [%]", "Within 95 % [%]")
     caption = (
         "Errors of force. ± of a coverage: the scatter of correct intervals over this number of loads. A dash: too"
         " few loads."

@@ -6,7 +6,7 @@ from cbsr_qa.analysis.run.fewer_places import MapCost, map_costs
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.plugin import Block, Figure, Paragraph, PhaseRecord, RunObservation, RunResult, Table
 from cbsr_qa.report.draw.metrics import waiting_figure
-from cbsr_qa.report.draw.time import Budget, budget_figure
+from cbsr_qa.report.draw.time import Budget, budget_figure, error_figure
 from cbsr_qa.report.section import RunSection
 from cbsr_qa.report.select import Measured, list_holds, spatial_spreads
 from cbsr_qa.report.tables import duration, format_or_dash, number, plural, text_table
@@ -33,9 +33,29 @@ class TimeAndAccuracy(RunSection):
         yield Paragraph(words)
         caption = "Time by activity, largest first. The cost of a test is its station time."
         yield Figure(caption, words, budget_figure(budgets))
+        yield from _decided(result)
         if result.observation is not None:
             run = result.observation
             yield from (_bought(result, run), *_map_bought(result, run), *_waiting(run))
+
+
+def _decided(result: RunResult) -> Iterator[Block]:
+    """The force error as it fell from press to press, if the run decided between presses."""
+    record = result.record
+    known = [made for made in record.decisions if made.expected_N is not None and made.upper_N is not None]
+    if not known:
+        return
+    ends = [(plural(made.pressed, "press", "presses"), made) for made in known if made.ends]
+    words = " ".join(f"After {after} of {record.phases[made.phase].name!r} {made.end_words}." for after, made in ends)
+    minutes = [made.time_s / 60 for made in known]
+    expected, upper = ([getattr(made, name) for made in known] for name in ("expected_N", "upper_N"))
+    caption = (
+        "Force error against station time, decided after each press: expected over the loads that matter (dots), and"
+        " its upper bound."
+    )
+    yield Figure(caption, words or caption, error_figure(minutes, expected, upper))
+    if words:
+        yield Paragraph(words)
 
 
 def _bought(result: RunResult, run: RunObservation) -> Table:

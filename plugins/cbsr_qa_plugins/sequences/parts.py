@@ -96,16 +96,21 @@ class RestedOptions(PluginOptions):
     unloaded_frames: Frames = UNLOADED_FRAMES
 
 
-class BriefOptions(RestedOptions):
-    """Travel just clear of the sheet, and rests that end by the predicted residue."""
+class ClearOptions(RestedOptions):
+    """Travel just clear of the sheet."""
 
     unloaded_before: bool = False
     clearance_mm: Clearance = None
+
+
+class BriefOptions(ClearOptions):
+    """Rests that end by the predicted residue, besides."""
+
     residue_percent: Annotated[float, Field(ge=0.01, le=100)] | None = None
     least_rest_s: Rest = 5.0
 
 
-class QuickOptions(BriefOptions):
+class SurfaceOptions(ClearOptions):
     """The surface as a plane, and a first rest that ends when readings are stable, besides."""
 
     surface: Literal["each", "plane"] = "each"
@@ -115,18 +120,28 @@ class QuickOptions(BriefOptions):
     least_initial_rest_s: Rest = 30.0
 
 
+class QuickOptions(BriefOptions, SurfaceOptions):
+    """All that may take less time per press."""
+
+
 def prepare_sheet(options: RestedOptions, places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:
-    """Find the surfaces if requested, let the sheet rest, and take the unloaded frames."""
-    if isinstance(options, BriefOptions) and options.clearance_mm is not None:
-        yield LowerHover(options.clearance_mm)
-    quick = options if isinstance(options, QuickOptions) else QuickOptions()
-    if options.find_surface and quick.surface == "plane":
-        yield from touch_plane(quick.touches_mm or spread_touches(list(places_mm)), quick.surface_tolerance_mm)
+    """Find the surfaces if requested, let the sheet rest, and take the unloaded frames.
+
+    Without unloaded frames the rest before the first press takes frames.
+    """
+    clear = options if isinstance(options, ClearOptions) else ClearOptions()
+    surface = options if isinstance(options, SurfaceOptions) else SurfaceOptions()
+    if clear.clearance_mm is not None:
+        yield LowerHover(clear.clearance_mm)
+    if options.find_surface and surface.surface == "plane":
+        yield from touch_plane(surface.touches_mm or spread_touches(list(places_mm)), surface.surface_tolerance_mm)
     elif options.find_surface:
         yield from find_surfaces(places_mm)
-    taken = isinstance(options, BriefOptions) and options.unloaded_before
-    frames = _FEW_FRAMES if taken else options.unloaded_frames
-    yield from take_unloaded_frames(options.initial_rest_s, frames, quick.drift, quick.least_initial_rest_s)
+    if options.unloaded_frames:
+        frames = _FEW_FRAMES if clear.unloaded_before else options.unloaded_frames
+        yield from take_unloaded_frames(options.initial_rest_s, frames, surface.drift, surface.least_initial_rest_s)
+    elif options.initial_rest_s:
+        yield Hold(options.initial_rest_s, acquire=True)
 
 
 def touch_plane(places_mm: Iterable[tuple[float, float]], tolerance_mm: float) -> Iterator[Step]:

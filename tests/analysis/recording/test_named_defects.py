@@ -11,7 +11,8 @@ from tiers import rest_but
 from cbsr_qa.analysis.defects.channels import find_faults
 from cbsr_qa.analysis.recording.imaging import sheet_for, unit_model
 from cbsr_qa.analysis.recording.places import find_places, matcher
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.app.analyse.analyse import analyse_file
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.domain.readings.frames import FrameBlock, ScanKind, VoltageUnit
 from cbsr_qa.eit.forward.coverage import disc_coverage
 from cbsr_qa.eit.inverse.problem import nominal_model

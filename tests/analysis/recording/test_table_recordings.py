@@ -38,6 +38,7 @@ def errors_mm(result, places):
     [
         (8, adjacent_pairs(8), 4.0),
         (8, ohmmeter_pairs(8), 5.0),
+        pytest.param(16, ohmmeter_pairs(16), 4.0, marks=pytest.mark.rest),
         pytest.param(16, opposite_pairs(16), 4.0, marks=pytest.mark.rest),
         pytest.param(32, adjacent_pairs(32), 4.0, marks=pytest.mark.rest),
     ],
@@ -85,7 +86,7 @@ def test_complex_readings_keep_the_place(tmp_path):
     rest = rest + 1e-6 * np.random.default_rng(4).standard_normal((4, len(rest)))
     result = analysed(pairs, table(tmp_path, rows), sensor, table(tmp_path, rest), part=ComplexPart.MAGNITUDE)
     assert max(errors_mm(result, PLACES)) < 4
-    with pytest.raises(RefusedError, match="differences have no in-phase"):
+    with pytest.raises(RefusedError, match="differences have no in-phase part: the readings"):
         check_form(ComplexPart.IN_PHASE, differences=True, rest=False)
 
 
@@ -115,7 +116,65 @@ def test_what_the_table_does_not_hold_is_missing_and_repeats_are_averaged(tmp_pa
     assert recording.notes[0] == "5 of 5 pairs stand in several columns, which are averaged"
 
 
-def test_too_many_pairs_of_an_ohmmeter_are_refused(tmp_path):
-    pairs = ohmmeter_pairs(16)
-    with pytest.raises(RecordingError, match="120 drive and 120 measure pairs are too many readings"):
-        record_pairs(PairFrames(pairs, table(tmp_path, np.zeros((1, 120)))), round_sensor(count=16))
+def test_too_many_pairs_or_rows_are_refused_by_their_numbers(tmp_path):
+    pairs = ohmmeter_pairs(33)
+    with pytest.raises(RecordingError, match="528 drive pairs × 528 measure pairs are 278784 combinations"):
+        record_pairs(PairFrames(pairs, table(tmp_path, np.zeros((1, 528)))), round_sensor(count=33))
+    clear = np.array([(a, b, (b + 1) % 16, (b + 2) % 16) for a, b in combinations(range(16), 2) if a > 2])
+    mixed = np.vstack([ohmmeter_pairs(16), clear])
+    with pytest.raises(RecordingError, match="at most 8192 are imaged, however many"):
+        record_pairs(PairFrames(mixed, table(tmp_path, np.zeros((1, len(mixed))))), round_sensor(count=16))
+    pairs = ohmmeter_pairs(32)
+    with pytest.raises(RecordingError, match=r"300 rows of 496 drive .*; at most 272 rows are imaged at a time"):
+        record_pairs(PairFrames(pairs, table(tmp_path, np.zeros((300, 496)))), round_sensor(count=32))
+
+
+def pressed_rows(count=12):
+    """Changes by presses at as many places, with noise; the pairs, the sensor and the places."""
+    sensor, pairs, random = round_sensor(count=16), opposite_pairs(16), np.random.default_rng(6)
+    angle = np.linspace(0, 2 * np.pi, count, endpoint=False)
+    places = 35 * np.column_stack([np.cos(angle), np.sin(angle)])
+    loaded, unloaded = readings(sensor, pairs, places, contrast=0.3)
+    changes = loaded - unloaded
+    return pairs, sensor, places, changes + 0.05 * np.median(np.abs(changes)) * random.standard_normal(changes.shape)
+
+
+@pytest.mark.rest
+def test_a_row_of_changes_in_another_unit_is_named(tmp_path):
+    pairs, sensor, places, rows = pressed_rows()
+    for factor, words in ((1000.0, "times as large as those of the other loads"), (1e-4, "far below the noise")):
+        odd = rows.copy()
+        odd[7] *= factor
+        result = analysed(pairs, table(tmp_path, odd), sensor, differences=True)
+        assert max(errors_mm(result, places)) < 4
+        (named,) = [warning for warning in result.warnings if "another unit" in warning]
+        assert named.startswith("row 8: its ")
+        assert words in named
+    assert not [w for w in analysed(pairs, table(tmp_path, rows), sensor, differences=True).warnings if "unit" in w]
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("whole", [False, True])
+def test_a_single_reading_in_another_unit_is_named_and_its_row_is_left_out(tmp_path, whole):
+    pairs, sensor, places, rows = pressed_rows()
+    rest = None
+    if whole:
+        unloaded = readings(sensor, pairs, places[:1], contrast=0.3)[1]
+        rows, rest = rows + unloaded, table(tmp_path, np.tile(unloaded, (3, 1)))
+    rows[7, 40] *= 1000
+    result = analysed(pairs, table(tmp_path, rows), sensor, rest, differences=not whole)
+    assert max(errors_mm(result, places)) < 4
+    assert sorted(round(event.peak_s) for event in result.events) == [*range(7), *range(8, 12)]
+    assert result.recording.rows_rejected == 1
+    (named,) = [warning for warning in result.warnings if "another unit" in warning]
+    assert named.startswith("row 8, column 40: about ")
+    assert named.endswith("; the row is left out")
+
+
+def test_a_single_press_among_rows_of_noise_is_in_no_other_unit(tmp_path):
+    pairs, sensor, _, rows = pressed_rows()
+    noise = 1e-3 * np.median(np.abs(rows)) * np.random.default_rng(7).standard_normal(rows.shape)
+    noise[4] += rows[4]
+    result = analysed(pairs, table(tmp_path, noise), sensor, differences=True)
+    assert [round(event.peak_s) for event in result.events] == [4]
+    assert not [warning for warning in result.warnings if "unit" in warning]

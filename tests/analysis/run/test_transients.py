@@ -6,8 +6,8 @@ import numpy as np
 import pytest
 from simulated_runs import simulated_run
 
+from cbsr_qa.analysis.run.compensation import LARGEST_FACTOR, _limit_rise
 from cbsr_qa.analysis.run.force import force_tests, hold_traces, learn_without_tests, run_force
-from cbsr_qa.analysis.run.force_kernels import LARGEST_FACTOR, _limit_rise
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.force.validity import force_reductions
 from cbsr_qa.config.loader import load_recipe

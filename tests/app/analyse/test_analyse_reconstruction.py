@@ -14,7 +14,8 @@ from tiers import rest_but_named
 from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.images import EventImages, Sighting, frames_around, nearest_frames
 from cbsr_qa.analysis.recording.places import Place
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.app.analyse.analyse import analyse_file
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.domain.errors import NumericsError, PluginError
 from cbsr_qa.domain.goodness import Goodness

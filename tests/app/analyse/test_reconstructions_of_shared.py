@@ -2,7 +2,8 @@
 
 import pytest
 
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.app.analyse.analyse import analyse_file
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.report.document import json_document
 
 pytestmark = [pytest.mark.shared, pytest.mark.rest]

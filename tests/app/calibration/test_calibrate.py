@@ -2,6 +2,7 @@
 
 import json
 from dataclasses import replace
+from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
 import h5py
@@ -18,6 +19,8 @@ from cbsr_qa.app.stream.source import FramesFrom
 from cbsr_qa.app.stream.stream import StreamRequest, stream_messages
 from cbsr_qa.calibration.force.inverse import flag_names
 from cbsr_qa.calibration.loading import load_calibration
+from cbsr_qa.calibration.place.pairs import DistinctPairs
+from cbsr_qa.calibration.runtime.press_calibration import PressCalibration
 from cbsr_qa.cli.main import app
 from cbsr_qa.config.loader import load_sensor_type
 from cbsr_qa.domain.errors import CalibrationError
@@ -90,6 +93,73 @@ def test_what_scripts_read_is_printed(folder, pressed):
     assert any("mirrored" in words for words in printed["warnings"])
     assert printed["place_learned"] is True
     assert printed["labels"] == {"suspected": None, "gain_mm": None}
+
+
+CERTIFICATE = """
+[standards.load_cell]
+certificate = "K-7"
+laboratory = "D-K-1"
+date = {date}
+due = {due}
+uncertainty = 10.0
+k = 2
+unit = "%"
+"""
+
+
+@pytest.mark.rest
+def test_certificates_are_kept_shown_and_widen_intervals_of_force(folder, pressed, tmp_path):
+    """Ten per cent with k = 2 add 5 % of the force to its standard error, as one factor."""
+    today = datetime.now(UTC).date()
+    (tmp_path / "st.toml").write_text(CERTIFICATE.format(date="2026-01-02", due=today + timedelta(days=1)))
+    to = tmp_path / "traced.h5"
+    done = calibrated(folder, "--differences", "--standards", tmp_path / "st.toml", to=to)
+    assert not done.exception, done.output
+    printed = json.loads(done.stdout)
+    assert printed["force_error"].startswith("scatter and load cell (U = 10 % (k = 2), certificate K-7 of D-K-1")
+    assert [standard["certificate"] for standard in printed["standards"]] == ["K-7"]
+    assert not [words for words in printed["warnings"] if "certificate" in words]
+    shown = json.loads(run("calibration", "show", to, "--json").stdout)
+    assert (shown["force_error"], shown["standards"]) == (printed["force_error"], printed["standards"])
+    assert [source["name"] for source in shown["sources"]][-1] == "st.toml"
+    bare, traced = (PressCalibration.load(path) for path in (folder / "OUT.h5", to))
+    changes = pressed.changes[:6] @ DistinctPairs.from_pairs(pressed.pairs).merging
+    forces = [calibration.force(calibration.places(changes)) for calibration in (bare, traced)]
+    np.testing.assert_array_equal(forces[1].values, forces[0].values)
+    for within in ("within_68", "within_95"):
+        reach = [np.abs(getattr(force, within) - force.values[:, None]) for force in forces]
+        times = 0.9945 if within == "within_68" else 1.96
+        np.testing.assert_allclose(reach[1], np.hypot(reach[0], 0.05 * times * forces[0].values[:, None]))
+    touches = traced.estimate_readings(traced.issued.pairs, changes, differences=True)
+    np.testing.assert_allclose(touches.force.shared_stderr, 0.05 * touches.force.values)
+    applied = json.loads(
+        run(
+            "calibration", "apply", to, folder / "readings.csv", "--pattern", folder / "pairs.csv", "--differences",
+            "--json",
+        ).stdout
+    )  # fmt: skip
+    assert applied["force_error"] == printed["force_error"]
+
+
+@pytest.mark.rest
+def test_doubtful_certificates_are_named_and_others_are_refused(folder, tmp_path):
+    today = datetime.now(UTC).date()
+    for date, due, words in (
+        (today + timedelta(days=1), today + timedelta(days=9), "is dated"),
+        (today - timedelta(days=9), today - timedelta(days=1), "was due on"),
+    ):
+        (tmp_path / "st.toml").write_text(CERTIFICATE.format(date=date, due=due))
+        done = calibrated(folder, "--differences", "--standards", tmp_path / "st.toml", to=tmp_path / f"{date}.h5")
+        assert words in " ".join(json.loads(done.stdout)["warnings"])
+    for text, words in (
+        ("[standards]\n", "states no standard"),
+        ('[station]\nname = "a"\n', "is a station file, not a standards file"),
+        (CERTIFICATE.format(date=today, due="2020-01-01"), "is not after the date of calibration"),
+    ):
+        (tmp_path / "st.toml").write_text(text)
+        done = calibrated(folder, "--differences", "--standards", tmp_path / "st.toml", to=tmp_path / "no.h5")
+        assert words in str(done.exception)
+    assert not (tmp_path / "no.h5").exists()
 
 
 def test_presses_that_are_not_counted_are_explained():

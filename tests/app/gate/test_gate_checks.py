@@ -177,6 +177,18 @@ def test_a_reference_standard_is_in_time_until_the_end_of_its_day(ask, merged):
             assert f"the calibration of the load cell (certificate K-2026-0711) was due on {due}" in answer.words
 
 
+def test_a_certificate_dated_later_than_today_is_named(ask, merged):
+    today = datetime.now(UTC).date()
+    for days, outcome in ((0, GateOutcome.PASSED), (1, GateOutcome.REFUSED)):
+        day = (today + timedelta(days=days)).isoformat()
+        due = (today + timedelta(days=400)).isoformat()
+        of = replace(merged, station=replace(merged.station, standards=(replace(LOAD_CELL, date=day, due=due),)))
+        answer = ask("calibration_due", "refuse", configuration=of)
+        assert answer.outcome is outcome
+        if days:
+            assert f"the certificate K-2026-0711 of the load cell is dated {day}, later than today" in answer.words
+
+
 def measured_golden(store, run, *, ago=timedelta(), outcome=CheckOutcome.OK):
     line = CheckResult("force", outcome, subject="golden sensor G-1")
     ring = CheckResult("gain error", CheckOutcome.FAILED, subject="reference ring")

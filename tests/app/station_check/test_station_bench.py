@@ -157,6 +157,15 @@ def test_a_reference_standard_is_shown_with_its_certificate_and_date(simulated):
     assert indenter.said == "U = 0.02 mm (k = 2), certificate L-99 of D-K-15001, due 2026-11-21; runs carry a warning"
 
 
+def test_a_certificate_dated_later_than_today_is_a_warning(simulated):
+    bench = Bench(simulated, standards=(replace(LOAD_CELL, date="2026-11-23"),))
+    bench.look()
+    line = bench.lines["standards.load_cell", "calibration due"]
+    assert line.outcome is WARNING
+    assert line.said == f"{LOAD_CELL.words()}; dated 2026-11-23, later than today, 2026-11-22; runs carry a warning"
+    assert line.remedy == "correct its date in the station file, or set the computer's clock"
+
+
 def silent(bench):
     bench.script.force_N = lambda time_s, down: None
 

@@ -9,7 +9,13 @@ from cbsr_qa.calibration.place.drift import Session
 from cbsr_qa.calibration.place.estimator import PlaceEstimator
 from cbsr_qa.calibration.place.learning import learn_place
 from cbsr_qa.calibration.place.places import Places
-from cbsr_qa.calibration.place.quantity import QuantityEstimator, is_untold, learn_quantity
+from cbsr_qa.calibration.place.quantity import (
+    Quantities,
+    QuantityEstimator,
+    is_untold,
+    learn_quantity,
+    widen_intervals,
+)
 
 CENTRE = np.zeros(2)
 
@@ -169,3 +175,18 @@ def test_presses_at_one_place_are_left_out_together():
     together, alone = (learn_quantity(force_N, *there, CENTRE, visits=each) for each in (visits, None))
     assert together.error > 2 * alone.error
     assert together.error_stderr > alone.error_stderr
+
+
+def test_widened_intervals_hold_a_shared_error_too():
+    """20 000 values with scatter of 0.1 and a factor known to 3 %, each of another calibration."""
+    random = np.random.default_rng(12)
+    true = random.uniform(1, 5, 20_000)
+    values = true * (1 + 0.03 * random.standard_normal(len(true))) + 0.1 * random.standard_normal(len(true))
+    inner, outer = (values[:, None] + times * 0.1 * np.array([-1.0, 1.0]) for times in (0.9945, 1.96))
+    nowhere = np.zeros(len(true), dtype=bool)
+    widened = widen_intervals(Quantities(values, inner, outer, nowhere, nowhere), 0.03 * values)
+    for within, share in ((widened.within_68, 0.68), (widened.within_95, 0.95)):
+        held = np.mean((within[:, 0] <= true) & (true <= within[:, 1]))
+        assert held == pytest.approx(share, abs=0.01)
+    at_zero = Quantities(np.array([0.1]), np.array([[0.05, 0.2]]), np.array([[0.0, 0.4]]), nowhere[:1], nowhere[:1])
+    assert widen_intervals(at_zero, np.array([1.0])).within_68[0, 0] == 0

@@ -12,6 +12,7 @@ from cbsr_qa.calibration.place.mixture import mahalanobis
 from cbsr_qa.calibration.place.quantity import QuantityEstimator
 from cbsr_qa.calibration.presses.dead_readings import estimate_clipped_share, find_dead_readings
 from cbsr_qa.calibration.presses.learning import learn_presses
+from cbsr_qa.calibration.presses.odd_units import find_odd_readings, find_odd_rows
 
 
 def without_contact(pressed, electrode, *, common, noise=20.0):
@@ -178,3 +179,35 @@ def test_open_electrodes_in_some_presses_and_frames_are_named_and_cost_little(wh
         assert inside[0] > 0.6
         assert inside[1] > 0.85  # 0.54 and 0.63 with the intervals of whole frames
     assert not locate(spoilt.changes[12:13]).in_model.any()
+
+
+def test_a_row_in_another_unit_is_left_out_for_that_reason():
+    pressed = pressed_sheet(60, noise=0.05)
+    for factor in (1000.0, 1e-3):
+        changes = pressed.changes.copy()
+        changes[7] *= factor
+        found = find_dead_readings(pressed.pairs, changes, pressed.labels_mm)
+        assert [row for row, why in enumerate(found.left_out) if why] == [7]
+        assert "times as large as those of the others, as if in another unit" in found.left_out[7]
+
+
+def test_a_single_reading_in_another_unit_is_named_by_row_and_column():
+    pressed = pressed_sheet(60, noise=0.05)
+    columns = tuple(f"r{column}" for column in range(len(pressed.pairs)))
+    changes = pressed.changes.copy()
+    changes[7, 40] *= 1000
+    found = find_dead_readings(pressed.pairs, changes, pressed.labels_mm, columns=columns)
+    (words,) = found.findings
+    assert words.startswith("row 8, column r40: about ")
+    assert words.endswith("as if in another unit; it is left out, the others of the press are used")
+    assert not any(found.left_out)
+    assert found.dead[7, 40]
+    (by_pair,) = find_dead_readings(pressed.pairs, changes, pressed.labels_mm).findings
+    assert f"pair {','.join(map(str, pressed.pairs[40]))}" in by_pair
+
+
+def test_no_press_of_a_real_skin_is_in_another_unit(shared):
+    for name in ("no_pattern", "parallel_lines"):
+        changes = np.loadtxt(shared / "data" / "skins" / name / "readings.csv", delimiter=",", encoding="utf-8-sig")
+        assert not list(find_odd_rows(changes))
+        assert not list(find_odd_readings(changes))

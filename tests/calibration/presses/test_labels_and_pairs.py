@@ -4,9 +4,10 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, some
+from pressed_sheets import adjacent_pairs, opposite_pairs, pressed_sheet, round_sensor, some
 
 from cbsr_qa.calibration.place.pairs import DistinctPairs, match_readings
+from cbsr_qa.calibration.presses.inputs import check_inside, check_near, find_outline
 from cbsr_qa.calibration.presses.learning import learn_presses
 from cbsr_qa.calibration.presses.odd_labels import (
     far_from_their_labels,
@@ -14,7 +15,10 @@ from cbsr_qa.calibration.presses.odd_labels import (
     list_unused_electrodes,
     off_the_sheet,
 )
-from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.errors import CalibrationError, RecordingError
+from cbsr_qa.domain.geometry.outlines import Disc, Polygon
+from cbsr_qa.domain.results.press_calibration import SheetRegistration
+from cbsr_qa.domain.sensor.sensor_type import polygon_sensor
 
 
 @pytest.mark.rest
@@ -28,10 +32,41 @@ def test_a_press_with_a_wrong_place_is_named_and_one_off_the_sheet():
     (words,) = learned.findings
     assert words.startswith("1 press is far from where the other presses place it, row 6 by ")
     presses = wrong.labelled().presses
-    assert not list(off_the_sheet(presses, learned.registration))
+    assert not list(off_the_sheet(presses, learned.registration, Disc(73.0)))
     presses.place_mm[7] = centre + np.array([80.5, 3.0])
-    (words,) = off_the_sheet(presses, learned.registration)
-    assert words.startswith("1 press is outside the sheet of 73 mm radius: row 8, ")
+    (words,) = off_the_sheet(presses, learned.registration, Disc(73.0))
+    assert words.startswith("1 press is outside the sheet, which ends 73 mm from its centre: row 8, ")
+
+
+def test_presses_are_outside_the_outline_of_a_rectangle_not_of_its_disc():
+    """A sheet of 120 × 40 mm has the area of a disc of 39 mm: its ends are outside that, and its sides inside."""
+    outline = Polygon(((-60, -20), (60, -20), (60, 20), (-60, 20)))
+    sheet = round_sensor()
+    pose = SheetRegistration(90.0, 0.1, False, 1.0, 0.01, (10.0, 5.0), (0.1, 0.1), outline.radius_mm, 0.0, 1, 1, True)
+    assert find_outline(polygon_sensor("strip", outline, 3.0, sheet.electrodes, sheet.pattern), pose) is outline
+    assert find_outline(sheet, replace(pose, radius_mm=50.0)) == Disc(50.0)
+    presses = pressed_sheet(4).labelled().presses
+    on_sheet_mm = np.array([[58.0, 10.0], [-58.0, -15.0], [0.0, 18.0], [3.0, 4.0]])
+    ends = replace(presses, place_mm=pose.to_press_frame_mm(on_sheet_mm))
+    check_near(ends, outline)
+    check_inside(ends, pose, outline)
+    assert not list(off_the_sheet(ends, pose, outline))
+    on_sheet_mm[2, 1] = 24.0  # four beyond the side
+    (words,) = off_the_sheet(replace(presses, place_mm=pose.to_press_frame_mm(on_sheet_mm)), pose, outline)
+    assert "row 3, 4.0 mm beyond its edge" in words
+    on_sheet_mm[2, 1] = 35.0  # fifteen, and inside the disc
+    with pytest.raises(RecordingError, match="1 of 4 presses are outside the sheet, which is a polygon of 4 corners"):
+        check_inside(replace(presses, place_mm=pose.to_press_frame_mm(on_sheet_mm)), pose, outline)
+
+
+def test_presses_at_both_ends_of_a_strip_are_near_it():
+    strip = Polygon(((-150, -10), (150, -10), (150, 10), (-150, 10)))
+    presses = pressed_sheet(4).labelled().presses
+    places = np.array([[-145.0, 0.0], [-145.0, 5.0], [-140.0, 0.0], [145.0, 0.0]])
+    check_near(replace(presses, place_mm=places), strip)
+    places[3, 0] = 250.0
+    with pytest.raises(RecordingError, match="row 4, columns x_mm and y_mm"):
+        check_near(replace(presses, place_mm=places), strip)
 
 
 def test_errors_of_usual_size_accuse_no_press():

@@ -19,7 +19,8 @@ from written_scenes import (
     simulated_press,
 )
 
-from cbsr_qa.app.analyse.analyse import AnalyseRequest, analyse_file
+from cbsr_qa.app.analyse.analyse import analyse_file
+from cbsr_qa.app.analyse.request import AnalyseRequest
 from cbsr_qa.domain.plan.world import Dump
 from cbsr_qa.domain.readings.frames import ReadingFlag, ReadOptions, VoltageUnit
 from cbsr_qa.report.document import json_document

@@ -23,7 +23,9 @@ from cbsr_qa.domain.plan.steps import (
     TouchPlane,
 )
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
+from cbsr_qa.plugin.interfaces import AdaptiveSequence, PressGoal
 from cbsr_qa.testing.bench import example_plan
+from cbsr_qa_plugins.sequences.adaptive import AdaptiveGridSequence
 from cbsr_qa_plugins.sequences.centre import (
     HysteresisLoopSequence,
     NoiseFigureSequence,
@@ -101,6 +103,48 @@ def test_grid_presses_every_location_strain_and_trial_once():
         assert load.strain in (0.05, 0.10)
     # A place rests while the eight others are pressed.
     assert [load.label for load in loads[:10]] == [f"L{i}" for i in range(9)] + ["L0"]
+
+
+def test_an_adaptive_grid_lists_each_place_once_with_its_surface_and_says_when_it_ends():
+    sequence = AdaptiveGridSequence(target_N=0.15, count=20, radius_mm=30, at_most=12, area_strain_percent=[5, 20.0])
+    assert isinstance(sequence, AdaptiveSequence)
+    assert sequence.role is Role.GRID
+    assert sequence.goal == PressGoal(0.15, 6, 12, 40.0, (0.05, 0.2), 0.8)
+    steps, loads = steps_of(sequence), loads_of(sequence)
+    assert len({(load.x_mm, load.y_mm) for load in loads}) == 20
+    assert all(math.hypot(load.x_mm, load.y_mm) <= 30 for load in loads)
+    for number, step in enumerate(steps):
+        if isinstance(step, Press):
+            assert steps[number - 1] == FindSurface(step.load.x_mm, step.load.y_mm)
+
+
+def test_an_adaptive_grid_takes_unloaded_frames_or_leaves_them_to_an_earlier_phase():
+    assert steps_of(AdaptiveGridSequence(target_N=0.1))[:3] == [
+        Hold(240.0, acquire=False),
+        MarkUnloaded(),
+        AcquireFrames(16),
+    ]
+    without = AdaptiveGridSequence(
+        target_N=0.1, unloaded_frames=0, initial_rest_s=0, locations_mm=NINE_LOCATIONS_MM, at_most=9
+    )
+    assert [type(step) for step in steps_of(without)[:3]] == [FindSurface, Press, Hold]
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ({}, "target_N"),
+        ({"target_N": 0}, "target_N is 0"),
+        ({"target_N": 0.1, "at_least": 9, "at_most": 8}, "at_most is 8"),
+        ({"target_N": 0.1, "count": 20}, "at_most is 24"),
+        ({"target_N": 0.1, "locations_mm": [[0, 0.0]]}, "locations_mm gives 1 places"),
+        ({"target_N": 0.1, "confidence": 0.4}, "confidence is 0.4"),
+        ({"target_N": 0.1, "unloaded_frames": 5}, "unloaded_frames"),
+    ],
+)
+def test_an_adaptive_grid_names_what_is_wrong(options, said):
+    with pytest.raises(ConfigError, match=said):
+        AdaptiveGridSequence(**options)
 
 
 def test_preconditioning_works_in_one_place_after_the_other_and_leaves_the_reference_to_others():

@@ -1,6 +1,7 @@
 """Figures of the force section: whatever the numbers, they are drawn, safe, and say what they were given."""
 
 import re
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from tiers import rest_but
 from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, fit_stated_error, force_figure, ratio_figure
 from cbsr_qa.report.draw.maps import SheetField, force_map_figure, round_levels
 from cbsr_qa.report.svg import check_svg
+from cbsr_qa_plugins.sections import force
 from cbsr_qa_plugins.sections.force import Force
 
 _NONE = np.zeros(0)
@@ -153,3 +155,24 @@ def test_a_run_without_a_force_model_says_why():
     assert (
         Force().render(result.__class__(result.record, result.observation, silent, result.verdict, None, "")) is None
     )
+
+
+def test_open_marks_are_explained_where_they_are_drawn():
+    words = "open: repeated presses of one place"
+    assert words in force_figure([panel([1.0, 2.0], 0.1, sampled=np.array([True, False]))], None)
+    assert words not in force_figure([panel([1.0, 2.0], 0.1)], None)
+
+
+def test_a_response_that_is_the_same_all_over_is_no_range(monkeypatch):
+    for spread, words in ((1e-4, "the response is 0.95 times the material's"), (0.02, "0.93 to 0.97 times")):
+        quality = SimpleNamespace(
+            response=np.array([0.95 - spread, 0.95 + spread]),
+            stderr=np.array([0.01]),
+            spread=spread,
+            rms_error=0.01,
+            least_sure_mm=(0.0, 0.0),
+        )
+        monkeypatch.setattr(force, "map_quality", lambda *_, quality=quality: quality)
+        monkeypatch.setattr(force, "calibration_radius_mm", lambda _: 40.0)
+        learned = SimpleNamespace(model=SimpleNamespace(scatter=0.01))
+        assert words in force._map_words(None, None, learned)

@@ -61,7 +61,7 @@ def test_a_line_that_is_not_in_the_language_is_not_run_at_all(smu, line):
 
 
 @pytest.mark.parametrize(
-    "line", ["smub.source.nothing = 1", "print(nobody)", "nobody()", "smub.measure.r()", "smuc.source.leveli = 1"]
+    "line", ["smub.source.nothing = 1", "print(nobody)", "nobody()", "smub.measure.x()", "smuc.source.leveli = 1"]
 )
 def test_names_that_stand_for_nothing_stop_the_line(smu, line):
     assert say(smu, f"print(7) {line} print(8)") == "7.00000e+00\n"
@@ -97,6 +97,17 @@ def test_it_reads_what_ohm_s_law_gives_and_takes_its_aperture_for_it(smu):
     volts = float(say(smu, "print(smua.measure.v())"))
     assert volts == pytest.approx(1e-4 * smu.bench.world.ohm[3, 5], rel=1e-5)
     assert smu.bench.clock.now() - before_s == pytest.approx(0.01, abs=1e-6)
+
+
+def test_resistance_and_power_are_those_of_volts_and_amperes(smu):
+    smu.bench.world.drive_ohm[0] = 2e3
+    drive(smu, 1e-3)
+    volts, amperes = (float(say(smu, f"print(smub.measure.{quantity}())")) for quantity in "vi")
+    assert float(say(smu, "print(smub.measure.r())")) == pytest.approx(volts / amperes, rel=1e-5)
+    assert float(say(smu, "print(smub.measure.p())")) == pytest.approx(volts * amperes, rel=1e-5)
+    assert float(say(smu, "print(smua.measure.r())")) == pytest.approx(9.91e37)  # it drives no current
+    say(smu, "smub.measure.autorangev = 0", "smub.measure.rangev = 0.1")
+    assert float(say(smu, "print(smub.measure.p())")) == pytest.approx(9.91e37)
 
 
 def test_beyond_its_limit_the_source_gives_what_the_limit_drives(smu):

@@ -74,6 +74,24 @@ def document(command):
 NEW = ("--reference-runs", 30, "--operator", "Zoë")
 
 
+def test_without_a_station_the_charts_of_all_are_listed(shifted, tmp_path, command):
+    path = tmp_path / "runs.db"
+    shutil.copy(shifted[0], path)
+    assert "No station is charted" in command(path)[1]
+    code, _, err = command(path, "--station", STATION, *NEW)
+    assert code in (0, 1), err
+    code, out, _ = command(path)
+    assert code == 0
+    assert "1 station with charts" in out
+    assert STATION in out
+    (listed,) = json.loads(command(path, "--json")[1])["charted"]
+    assert (listed["station"], listed["chart"], listed["golden"]) == (STATION, "i-mr", None)
+    assert listed["metrics"] == ["force gain"]
+    code, _, err = command(path, "--metric", "force_gain")
+    assert code == 2
+    assert "--metric without --station" in err
+
+
 def test_a_shift_is_found_at_its_first_run(shifted, document):
     path, runs = shifted
     (chart,) = document(path, *NEW, "--dry-run")["charts"]

@@ -3,6 +3,7 @@
 import json
 from datetime import timedelta
 from functools import partial
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -14,6 +15,7 @@ from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.studies.charts.report import _banner
 
 pytestmark = pytest.mark.rest
 
@@ -188,3 +190,12 @@ def test_a_file_that_is_no_page_is_refused_before_a_reference_is_stored(tmp_path
     command(database, *NEW)
     with open_store(f"sqlite:///{database}") as store:
         assert len(store.charts.read_current(STATION)) == 1
+
+
+@pytest.mark.parametrize(
+    ("count", "words"), [(1, "1 of 3 charts of station A signals"), (2, "2 of 3 charts of station A signal")]
+)
+def test_several_charts_signal_and_one_signals(count, words):
+    signals = tuple(SimpleNamespace(since=k, words=lambda: "drift") for k in range(count))
+    found = SimpleNamespace(station="A", in_control=False, signals=signals)
+    assert _banner(found, 3).reason == f"{words}; the first: drift"

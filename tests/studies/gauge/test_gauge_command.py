@@ -267,6 +267,8 @@ def test_the_page_draws_the_six_panels(crossed, command, tmp_path):
         (("--recipe", "short", "--reference", "S-77.force_gain=1"), "has no run in this study"),
         (("--recipe", "short", "--reference", "S-01.drift=1"), "which is not studied"),
         (("--serials", "S-01"), "there is only one sensor, S-01"),
+        (("--serials", "S-01"), "a type 1 study (Cg, Cgk): --reference 'S-01."),
+        (("--serials", "S-01", "--metric", "force_gain"), "--reference 'S-01.force_gain=VALUE±U N/V'"),
         (("--recipe", "short", "--since", "2030-01-01"), "no analysed run fits"),
         (("--recipe", "short", "--since", "2026-03-02", "--until", "2026-03-01"), "swap --since and --until"),
         (("--recipe", "short", "--stations", "bench-a,bench-d"), "no stored run is of station 'bench-d'"),

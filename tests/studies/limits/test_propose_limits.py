@@ -69,7 +69,7 @@ def test_without_either_no_guard_band_is_made_up(database, document):
     assert found["marginal"] == 0
     assert found["risks"] is None
     assert found["uncertainty"]["standard"] is None
-    assert "no sensor was run twice, and 10 of 10 values state no uncertainty" in found["uncertainty"]["source"]
+    assert "no sensor was run twice, and 5 of 5 values state no uncertainty" in found["uncertainty"]["source"]
 
 
 def test_unlimited_measurements_are_limited_on_both_sides_and_it_is_said(lot_database, propose, document):
@@ -95,8 +95,9 @@ def test_the_table_says_what_every_number_rests_on(lot_database, propose):
         "12 sensors, 18 runs at bench-α (SIMULATED)",
         "99 % of good sensors, with 95 % confidence, if the condition in the notes holds",
         "holds for normal, log-normal, Weibull and gamma distributions of a run's worst value, and for tails up to",
-        "Student's t with 5 degrees of freedom (kept by 91 % of such lots of 30; --distribution heavy: 3)",
-        "may fail up to 3 %",
+        "Student's t with 5 degrees of freedom. No condition is needed from 299 sensors on for one bound, from 473",
+        "Student's t, 5 degrees of freedom 87 91 94",
+        "the 3 together may fail up to 3 %",
         "JCGM 106",
         "upper largest of 9 log-normal",
         "repeatability of 6 repeated runs 6",
@@ -222,6 +223,20 @@ def test_a_lower_limit_that_fails_nothing_is_said_to(database, propose):
     runs = [(f"S-{k}", (Measurement("ringing", 0.1 * k, "1"),), {}) for k in range(1, 7)]
     _, out, _ = propose(database(*runs), "--batch", "golden")
     assert "no value can fail it" in " ".join(out.split())
+    assert "Then --distribution log-normal gives one above 0" in " ".join(out.split())
+
+
+def test_an_upper_limit_above_all_of_a_share_is_said_to_fail_nothing(database, propose):
+    runs = [(f"S-{k}", (Measurement("area_overlap", 80.0 + 4 * (k % 5), "%"),), {}) for k in range(1, 11)]
+    _, out, _ = propose(database(*runs), "--batch", "golden")
+    assert "area_overlap: the upper limit is not below 100 %, which no value exceeds" in " ".join(out.split())
+
+
+@pytest.mark.parametrize(("sensors", "warned"), [(3, "3 sensors are few: a limit lies 10.6 deviations"), (10, "")])
+def test_few_sensors_are_warned_of(database, propose, sensors, warned):
+    _, out, _ = propose(database(*lot(sensors)), "--batch", "golden", "--measurement", "drift")
+    words = " ".join(out.split())
+    assert (warned in words) if warned else ("sensors are few" not in words)
 
 
 @pytest.mark.parametrize(("ratios", "sizeless"), [(0.8, []), (0.05, ["area_overlap"])])

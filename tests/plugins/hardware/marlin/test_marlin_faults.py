@@ -1,5 +1,6 @@
 """The driver of Marlin printers over an emulated one: every fault of the line, and how it is opened."""
 
+import re
 import threading
 from types import SimpleNamespace
 
@@ -10,6 +11,7 @@ from simulated_setting import MOTION
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links import serial_link
+from cbsr_qa.simulate.instruments.applicator import EmulatedApplicator
 from cbsr_qa.simulate.instruments.streams import Fault, PtyPort
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
@@ -45,6 +47,25 @@ def test_a_line_that_stumbles_changes_no_press(station, homed, one_world, fault,
     homed.release()
     assert station.head.up
     assert station.head.place_mm == pytest.approx((0.0, 0.0))
+
+
+@pytest.mark.parametrize("acknowledgement", [rb"ok \1\n", rb"ok N7 P15 B3 \1\n", rb"\1\nok N7 P15 B3\n"])
+def test_an_answer_on_the_line_of_its_acknowledgement_is_read(make, monkeypatch, one_world, acknowledgement):
+    receive = EmulatedApplicator.receive
+    monkeypatch.setattr(
+        EmulatedApplicator,
+        "receive",
+        lambda self, data: re.sub(rb"(X:[^\n]*)\nok\n", acknowledgement, receive(self, data)),
+    )
+    station = make()
+    head = linked(station)
+    head.home()
+    head.move_to(12.0, -7.0)
+    one_world.presses.clear()
+    head.press(0.8, SPEED)
+    assert len(one_world.presses) == 1
+    head.release()
+    assert station.head.place_mm == pytest.approx((12.0, -7.0))
 
 
 @pytest.mark.parametrize("at", range(4, 40, 5))

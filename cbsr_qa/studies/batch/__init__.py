@@ -1,0 +1,1 @@
+"""How alike the sensors of a stored batch are."""
