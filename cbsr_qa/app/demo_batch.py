@@ -67,7 +67,7 @@ def _describe_scene() -> dict[str, Any]:
 
 
 def _describe_recipe() -> dict[str, Any]:
-    """Sixteen places held briefly and five random loads of a minute; only what a batch is learned from is measured."""
+    """Sixteen places held briefly, five random loads of a minute; measured is only what a batch is learned from."""
     recipe = Setting(16, hold_s=15.0, rest_s=15.0, predicted=True, checks=5).recipe("sixteen-places")
     recipe["phases"] = [phase for phase in recipe["phases"] if phase["name"] in (GRID, CHECK)]
     recipe["phases"][0]["initial_rest_s"] = 240.0
