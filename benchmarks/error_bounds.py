@@ -88,11 +88,8 @@ def main() -> None:
             true_N, expected_N = (np.array([one[k] for one in tried]) for k in (0, 1))
             held = np.mean([one[2] for one in tried], axis=0)
             shares = ", ".join(f"{share:.0%} of {level:.0%}" for share, level in zip(held, _CONFIDENCES, strict=True))
-            print(
-                f"{name}, {count} places: error {true_N.mean():.3f} N, expected {expected_N.mean():.3f} N; bounds hold"
-                f" in {shares}",
-                flush=True,
-            )
+            errors = f"error {true_N.mean():.3f} N, expected {expected_N.mean():.3f} N"
+            print(f"{name}, {count} places: {errors}; bounds hold in {shares}", flush=True)
 
 
 if __name__ == "__main__":
