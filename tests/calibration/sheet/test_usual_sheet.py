@@ -1,0 +1,47 @@
+"""The order of presses on a usual sheet: greedy, by the variance that a normal distribution leaves."""
+
+import numpy as np
+import pytest
+
+from cbsr_qa.calibration.sheet.response_processes import compute_covariance
+from cbsr_qa.calibration.sheet.usual_sheet import USUAL_SCATTER, order_presses
+
+RADIUS_MM = 50.0
+TARGETS_MM = np.random.default_rng(1).uniform(-30, 30, (20, 2))
+CANDIDATES_MM = np.random.default_rng(2).uniform(-35, 35, (12, 2))
+NONE_MM = np.empty((0, 2))
+
+
+def variance_left(pressed_mm):
+    """Mean variance at the targets after some presses, by the whole normal distribution of each kernel."""
+    every, count = np.vstack([pressed_mm, TARGETS_MM]), len(pressed_mm)
+    left = []
+    for smooth in (True, False):
+        prior = 0.04 * compute_covariance(every, every, 0.4 * RADIUS_MM, smooth) + 4.0
+        seen = prior[:count, :count] + USUAL_SCATTER**2 * np.eye(count)
+        left.append(
+            np.diag(prior[count:, count:] - prior[count:, :count] @ np.linalg.solve(seen, prior[:count, count:]))
+        )
+    return float(np.mean(left))
+
+
+@pytest.mark.parametrize("before", [0, 3])
+def test_each_press_leaves_the_variance_of_all_presses_so_far(before):
+    pressed_mm = np.random.default_rng(3).uniform(-30, 30, (before, 2))
+    order, left = order_presses(CANDIDATES_MM, TARGETS_MM, 5, pressed_mm=pressed_mm, radius_mm=RADIUS_MM)
+    for count in range(1, 6):
+        expected = variance_left(np.vstack([pressed_mm, CANDIDATES_MM[order[:count]]]))
+        assert left[count - 1] == pytest.approx(expected, rel=1e-6)
+
+
+def test_the_first_press_is_the_best_of_all():
+    (first, *_), left = order_presses(CANDIDATES_MM, TARGETS_MM, 3, pressed_mm=NONE_MM, radius_mm=RADIUS_MM)
+    each = [variance_left(place[None]) for place in CANDIDATES_MM]
+    assert first == int(np.argmin(each))
+    assert left[0] == pytest.approx(min(each), rel=1e-6)
+
+
+def test_no_place_is_pressed_twice_and_all_can_be():
+    order, left = order_presses(CANDIDATES_MM, TARGETS_MM, 12, pressed_mm=NONE_MM, radius_mm=RADIUS_MM)
+    assert sorted(order) == list(range(12))
+    assert (np.diff(left) < 0).all()
