@@ -1,5 +1,6 @@
 """The surface as a plane, the lowered hover height, and a first rest that ends when the sheet is stable."""
 
+from contextlib import closing
 from dataclasses import replace
 
 import numpy as np
@@ -297,3 +298,18 @@ def test_a_rest_that_finds_no_end_lasts_as_long_as_the_recipe_says():
     assert unloaded.time_s == pytest.approx(40.0)
     assert not any(isinstance(d.step, StrainStep) for d in kinds(documents, StepStarted))
     assert sum(isinstance(d.step, Hold) for d in kinds(documents, StepStarted)) == 3
+
+
+@pytest.mark.rest
+def test_a_printer_travels_just_clear_of_a_tilted_sheet_and_meets_it_where_the_plane_says():
+    station, worlds, documents = copy_shipped(DocumentKind.STATION, "bench-emulated"), [], []
+    options = {"surface": "plane", "clearance_mm": 1.0, "hold_s": 5.0}
+    configuration = configuration_of(station, recipe(**options), "cbsr-8wt", seed=5)
+    plugins, clock = discover(), station_clock(configuration)
+    plan = plan_of(configuration, plugins)
+    with closing(open_station(configuration, plugins, clock, emulated=worlds.append)) as bench:
+        ended = execute(plan, example_identity(), bench, clock, [documents.append])
+    assert ended.end is EndReason.FINISHED, ended.detail
+    assert kinds(documents, StepRetried) == []
+    assert worlds[0].rig.head.dragged == 0
+    assert ended.time_s == pytest.approx(dry_run(plan, 2.5).duration_s, rel=0.05)

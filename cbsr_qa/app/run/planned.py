@@ -78,7 +78,8 @@ class PlannedRun:
     Parameters
     ----------
     duration_s, least_s, expected_s : station time; of a recipe that decides between presses with the most presses,
-        the fewest, and those of a usual sheet.
+        the fewest, and those of a usual sheet. A first rest that ends when the sheet is stable is longest in the
+        first and shortest in the others.
     decides : presses of each phase that decides between them.
     spent_s : station time by kind of activity.
     peak_strain, peak_force_N : highest requested, and highest force expected.
@@ -128,8 +129,8 @@ class PlannedRun:
             cls,
             dry,
             duration_s=round(dry.duration_s, 3),
-            least_s=round(dry.duration_s - sum(d.most_s - d.least_s for d in decides), 3),
-            expected_s=round(dry.duration_s - sum(d.most_s - d.expected_s for d in decides), 3),
+            least_s=round(dry.duration_s - dry.sooner_s - sum(d.most_s - d.least_s for d in decides), 3),
+            expected_s=round(dry.duration_s - dry.sooner_s - sum(d.most_s - d.expected_s for d in decides), 3),
             decides=decides,
             spent_s={kind: round(seconds, 3) for kind, seconds in dry.spent},
             phases=tuple(
@@ -159,6 +160,8 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
     if planned.decides:
         least, expected = duration(planned.least_s), duration(planned.expected_s)
         time = f"{least} to {time} ({expected} on a usual sheet)"
+    elif planned.dry.sooner_s:
+        time = f"{duration(planned.least_s)} to {time}"
     banner = Banner("pass", "✓", "The station allows this run", f"{time} of station time; nothing has moved")
     if planned.refused is not None:
         reasons = (

@@ -180,9 +180,9 @@ def _words(step: dict[str, Any]) -> str:
             return f"press {label} at ({x:g}, {y:g}) mm to {100 * strain:g} %, trial {trial + 1}"
         case {"step": "Ease", "strain": strain}:
             return f"ease to {100 * strain:g} %"
-        case {"step": "Hold", "hold_s": hold_s}:
+        case {"step": "Hold" | "Settle", "hold_s": hold_s}:
             return f"hold for {hold_s:g} s"
-        case {"step": "FindSurface", "x_mm": x, "y_mm": y}:
+        case {"step": "FindSurface" | "TouchPlane", "x_mm": x, "y_mm": y}:
             return f"find the surface at ({x:g}, {y:g}) mm"
         case {"step": "AcquireFrames", "count": count}:
             return f"take {count} frames"

@@ -162,7 +162,7 @@ def check_same_steps(sequence: Any) -> Checked:
     Remedy: keep no state between calls, and draw random numbers from the seed of the context.
     """
     plan = example_plan(seed=_SEED)
-    context = SequenceContext(plan.sensor_type, plan.indenter, _SEED)
+    context = SequenceContext(plan.sensor_type, plan.indenter, _SEED, plan.material)
     first, again = (list(islice(sequence.steps(context), 100_000)) for _ in range(2))
     assert first == again, "other steps the second time"
     return Checked("same steps", f"{len(first)} steps, twice the same")
