@@ -35,7 +35,7 @@ _STEPS_SHARE: Final = (0.15, 0.5)
 #: Logarithm of the least weight, relative to the largest, from which a point's neighbours are computed.
 _NEGLIGIBLE: Final = -9.0
 #: Largest number of points of a lattice; loads that would fill more tell less apart than it does.
-_MOST_POINTS: Final = 20_000
+_MOST_POINTS: Final = 60_000
 #: Distances of the points from which the best one is found, in steps of each coordinate.
 _COARSE: Final = (1, 3, 3, 6, 3, 4)
 
