@@ -40,7 +40,7 @@ $(VENV)/.web-stamp: $(VENV)/.run-stamp
 demo: $(VENV)/.run-stamp ## Test a simulated sensor: run, verdict, report, calibration file (in var/)
 	@$(BIN)/cbsr-qa run --station simulated --recipe nine-locations --serial DEMO-001 --batch demo --operator demo
 
-fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, compare the batches, open the pages (in var/)
+fleet-demo: $(VENV)/.run-stamp ## Build a fleet, compare its batches, learn how alike one is; pages in var/
 	@$(BIN)/python -m cbsr_qa.cli.studies.fleet_demo
 	@for design in each-on-one-station a-third-on-all-stations; do \
 		printf '\n%s\n' "$$design"; \
@@ -50,6 +50,8 @@ fleet-demo: $(VENV)/.run-stamp ## Build a fleet of 3 batches at 3 stations, comp
 			$(BIN)/python -m webbrowser "file://$$(cd "$$CBSR_QA_VAR" && pwd -P)/$${page##*/}" >/dev/null 2>&1 || :; \
 		fi; \
 	done
+	@printf '\nbatch 41\n'
+	@$(BIN)/cbsr-qa batch model --batch 41 --database "$$CBSR_QA_VAR/fleet-demo-batch/runs.db" --output "$$CBSR_QA_VAR/fleet-demo-batch.html"
 
 serve: $(VENV)/.web-stamp ## Open the page of a simulated line of two stations; Ctrl-C ends it
 	@$(BIN)/cbsr-qa serve --station line-1 --station line-2 --recipe nine-locations --open

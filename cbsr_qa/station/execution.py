@@ -200,7 +200,7 @@ def _follow_surface(dry: DryRun, plan: Plan, bench: Bench) -> "SheetSurface | No
     applicator = bench.force_applicator
     if not isinstance(applicator, GuidedApplicator):
         raise ConfigError(
-            f"{bench.name_of(applicator)} cannot be told where the surface is or how high to travel",
+            f"{bench.name_of(applicator)} does not take a surface, or a hover height",
             remedy='let the recipe\'s phases have surface = "each" and no clearance_mm',
         )
     return SheetSurface(applicator, plan.motion, plan.safety.travel_radius_mm + plan.indenter.reach_mm)

@@ -60,6 +60,7 @@ class LiveView:
     change_percent : change at the dark end of the scale; 0 without an image.
     force_N, conductance_percent : points (time_s, value) of the last :data:`TRACE_S`; the conductance relative to the
         unloaded sheet, as the mean of all readings.
+    error_N : points (time_s, value) of the expected force error at each decision between presses; empty without any.
     silent_s : time since the last frame, by this computer's clock; None before the first.
     no_image : reason for a missing image, in words; empty with an image.
     """
@@ -74,6 +75,7 @@ class LiveView:
     change_percent: float
     force_N: tuple[tuple[float, float], ...]
     conductance_percent: tuple[tuple[float, float], ...]
+    error_N: tuple[tuple[float, float], ...]
     silent_s: float | None
     no_image: str
 
@@ -143,12 +145,17 @@ class LiveRun:
             phases=phases,
             planned_phases=len(self._schedule),
             loads_done=0 if tail is None else len(tail.loads),
-            loads_planned=sum(phase.loads for phase in self._schedule),
+            loads_planned=sum(phase.loads if phase.goal is None else phase.goal.at_most for phase in self._schedule),
             places=tuple(self._places(current, pressed)),
             frame=self._frames if self.picture else 0,
             change_percent=100 * self._change,
             force_N=thin_trace(self._force),
             conductance_percent=thin_trace(self._conductance),
+            error_N=tuple(
+                (made.time_s, made.expected_N)
+                for made in (() if tail is None else tail.decisions)
+                if made.expected_N is not None
+            ),
             silent_s=None if self._frame_at is None else monotonic() - self._frame_at,
             no_image=self._no_image,
         )

@@ -181,6 +181,13 @@ def conductance_trace(snapshot: Snapshot) -> Trace:
     return trace(snapshot.live.conductance_percent, TRACE_S, 0.2)
 
 
+def error_trace(snapshot: Snapshot) -> Trace:
+    """Lay out the expected force error since it was first known."""
+    assert snapshot.live is not None
+    points = snapshot.live.error_N
+    return trace(points, max(points[-1][0] - points[0][0], 1.0), 0.1)
+
+
 def picture_address(snapshot: Snapshot) -> str:
     """Return the address of the latest image; a transparent one before the first."""
     if snapshot.live is None or snapshot.look is None or not snapshot.live.frame:
@@ -219,6 +226,7 @@ def _environment() -> Environment:
         "place_numbers": place_numbers,
         "force_trace": force_trace,
         "conductance_trace": conductance_trace,
+        "error_trace": error_trace,
         "picture_address": picture_address,
         "number": number,
     }

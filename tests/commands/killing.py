@@ -308,13 +308,18 @@ def assert_nothing_lost(folder, run):
     assert len(set(loads)) == len(loads)
 
 
-def trial(folder, serial, whole, random, *, kills=2):
-    """Kill a run some times at random moments, resume it each time, and compare it with the whole one."""
+def trial(folder, serial, whole, random, *, kills=2, documents=(260, 160)):
+    """Kill a run some times at random moments, resume it each time, and compare it with the whole one.
+
+    Parameters
+    ----------
+    documents : of the journal, before which the first session is killed, and each later one.
+    """
     (Path(folder) / "committed").unlink(missing_ok=True)
     arguments, run = (*BEGIN, "--serial", serial), None
     for _ in range(kills):
-        documents = random.randrange(1, 260 if run is None else 160)
-        if not killed(folder, arguments, documents=documents, after_s=random.uniform(0.0, 0.02)):
+        killed_at = random.randrange(1, documents[0] if run is None else documents[1])
+        if not killed(folder, arguments, documents=killed_at, after_s=random.uniform(0.0, 0.02)):
             break
         run = latest_run(folder, serial)
         if run is not None:

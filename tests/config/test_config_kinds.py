@@ -10,6 +10,7 @@ from cbsr_qa.config.material import MaterialFile
 from cbsr_qa.config.recipe import RecipeFile
 from cbsr_qa.config.scene import SceneFile
 from cbsr_qa.config.sensor_type import SensorTypeFile
+from cbsr_qa.config.standards import StandardsFile
 from cbsr_qa.config.station import StationFile
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.studies.gauge import references
@@ -24,10 +25,12 @@ MODELS = {
     DocumentKind.LIMITS: LimitsFile,
     DocumentKind.REFERENCES: references._ReferenceFile,
     DocumentKind.GAUGE_STUDY: StudyFile,
+    DocumentKind.STANDARDS: StandardsFile,
 }
 OWN = {
     DocumentKind.LIMITS: '[limits_version]\nversion = "1"\n[[limits]]\nmeasurement = "drift"\n',
     DocumentKind.REFERENCES: '[[reference]]\nserial = "G-1"\n',
+    DocumentKind.STANDARDS: '[standards.load_cell]\nunit = "N"\n',
     DocumentKind.GAUGE_STUDY: '[study]\nrecipe = "golden-check"\n[[reference]]\nserial = "G-1"\n',
 }
 

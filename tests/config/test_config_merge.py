@@ -112,5 +112,6 @@ def test_canonical_json_is_written_in_one_way_and_holds_no_nan():
 
 
 def test_kinds_have_names_for_messages():
-    named = ["station", "recipe", "sensor type", "material", "scene", "gauge study", "limits", "reference values"]
+    files = ["station", "recipe", "sensor type", "material", "scene"]
+    named = [*files, "gauge study", "limits", "reference values", "standards"]
     assert [kind.noun for kind in DocumentKind] == named

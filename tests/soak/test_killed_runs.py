@@ -1,12 +1,16 @@
-"""Two hundred runs, each killed with SIGKILL once or twice at random moments, resumed, and compared bit for bit."""
+"""Runs killed with SIGKILL once or twice at random moments, resumed, and compared bit for bit.
+
+Two hundred with a fixed order of presses, and forty that decide after each press which one is next.
+"""
 
 import os
 import random
 
 import pytest
 from command import cbsr_qa, document
-from killing import BEGIN, came_of, trial, write_files
+from killing import ADAPTIVE, BEGIN, UNEVEN, came_of, trial, write_files
 
+DECIDING = int(os.environ.get("CBSR_QA_SOAK_DECIDING", "40"))
 TRIALS = int(os.environ.get("CBSR_QA_SOAK_TRIALS", "200"))
 SEED = int(os.environ.get("CBSR_QA_SOAK_SEED", "0"))
 
@@ -26,3 +30,21 @@ def test_a_killed_run_comes_to_the_same(whole, tmp_path, number):
     source = random.Random(f"{SEED}/{number}")
     came = trial(tmp_path, "S-1", whole, source, kills=source.choice([1, 1, 2]))
     assert str(came.record.end) == "finished"
+
+
+@pytest.fixture(scope="module")
+def deciding(tmp_path_factory):
+    """A run that decides, and was left alone."""
+    folder = tmp_path_factory.mktemp("deciding")
+    write_files(folder, recipe=ADAPTIVE, more_effects=UNEVEN)
+    run = document(cbsr_qa(folder, *BEGIN, "--serial", "whole"))
+    return came_of(folder, run["run"])
+
+
+@pytest.mark.parametrize("number", range(DECIDING))
+def test_a_killed_run_that_decides_decides_the_same_and_comes_to_the_same(deciding, tmp_path, number):
+    write_files(tmp_path, recipe=ADAPTIVE, more_effects=UNEVEN)
+    source = random.Random(f"{SEED}/deciding/{number}")
+    came = trial(tmp_path, "S-1", deciding, source, kills=source.choice([1, 1, 2]), documents=(300, 200))
+    assert str(came.record.end) == "finished"
+    assert came.record.decisions

@@ -228,9 +228,9 @@ def test_the_station_says_how_low_the_head_may_travel(clearance_mm, refused):
 
 
 def test_an_applicator_that_is_not_guided_is_refused_before_anything_moves():
-    with pytest.raises(ConfigError, match="cannot be told where the surface is"):
+    with pytest.raises(ConfigError, match="does not take a surface"):
         run((LowerHover(2.0), *cycle(0)))
-    with pytest.raises(ConfigError, match="cannot be told where the surface is"):
+    with pytest.raises(ConfigError, match="does not take a surface"):
         run((*(TouchPlane(x, y, 0.1) for x, y in CORNERS), *cycle(0)))
 
 

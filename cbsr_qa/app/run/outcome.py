@@ -1,10 +1,11 @@
 """The outcome of ``cbsr-qa run``: the verdict, measurements, files and the next command."""
 
+import math
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from datetime import datetime
 from pathlib import Path
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 from pydantic import Field, InstanceOf
 
@@ -22,6 +23,9 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.document import ChosenParameter
 from cbsr_qa.report.gate import gate_words
 from cbsr_qa.report.heads import run_page
+
+#: Most points of a force error that a terminal lists as it fell.
+_MOST_POINTS: Final = 8
 
 
 @dataclass(frozen=True, slots=True)
@@ -283,7 +287,9 @@ def _decided_facts(record: RunRecord) -> Iterator[tuple[str, str]]:
         if made.ends:
             yield "Presses", f"{made.pressed} chosen one by one; {made.end_words}"
     if record.error_by_minute:
-        fell = ", ".join(f"{error_N:.2g} N at {minutes:.1f} min" for minutes, error_N in record.error_by_minute)
+        step = max(1, math.ceil(len(record.error_by_minute) / _MOST_POINTS))
+        shown = record.error_by_minute[::-1][::step][::-1]  # the last of them in any case
+        fell = ", ".join(f"{error_N:.2g} N at {minutes:.1f} min" for minutes, error_N in shown)
         yield "Force error", f"expected {fell}"
 
 

@@ -219,7 +219,10 @@ class PressDecided:
         why = "the target was reached" if self.why == "target" else "no more presses were allowed"
         if self.expected_N is None or self.upper_N is None or self.floor_N is None:
             return f"{why}; nothing could be learned about the force"
-        words = f"{why}: {self.expected_N:.3g} N expected, the bound is {self.upper_N:.3g} N"
+        words = (
+            f"{why}: a force error of {self.expected_N:.3g} N is expected, and at most {self.upper_N:.3g} N with the"
+            " recipe's confidence"
+        )
         return words if self.why == "target" else f"{words}; {self.floor_N:.3g} N remain however many presses"
 
 

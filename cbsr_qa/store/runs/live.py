@@ -14,13 +14,14 @@ from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames
 from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.listed import Decision
+from cbsr_qa.domain.run.run import PressDecided
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import read_word, translate_errors
 from cbsr_qa.store.engine import reading, sqlite_file
 from cbsr_qa.store.mapping import convert_row
 from cbsr_qa.store.runs.codec import frame_block, sample_block
-from cbsr_qa.store.runs.rows import current_state, load_record, phases_of
+from cbsr_qa.store.runs.rows import current_state, decisions_of, load_record, phases_of
 from cbsr_qa.store.runs.verdicts import verdict_of
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.results import CalibrationRow
@@ -54,6 +55,7 @@ class RunTail:
     phases, loads : all so far, the loads with the index of their phase.
     frames, samples : new blocks with the index of their phase; of many, the latest :data:`MOST_BLOCKS`.
     frames_seen, samples_seen : (phase, block) of the last ones, for the next look.
+    decisions : all decisions between presses so far.
     """
 
     phases: tuple[LivePhase, ...]
@@ -62,6 +64,7 @@ class RunTail:
     samples: tuple[tuple[int, SampleBlock], ...]
     frames_seen: tuple[int, int]
     samples_seen: tuple[int, int]
+    decisions: tuple[PressDecided, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)
@@ -172,6 +175,7 @@ class LiveRuns:
                 samples=tuple((row.phase, sample_block(row)) for row in samples),
                 frames_seen=_last(frames, frames_after),
                 samples_seen=_last(samples, samples_after),
+                decisions=decisions_of(connection, run),
             )
 
     def read_frames(self, run: str, phase: int, start_s: float, end_s: float) -> FrameBlock | None:

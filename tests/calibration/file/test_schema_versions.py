@@ -15,7 +15,7 @@ from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibr
 from cbsr_qa.calibration.file.json import json_document, read_json_calibration
 from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 from cbsr_qa.domain.kept import Kept
-from cbsr_qa.domain.results.calibration import Calibration
+from cbsr_qa.domain.results.calibration import BatchUse, Calibration
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 
 FIRST = FIRST_VERSION[FORMAT]
@@ -64,10 +64,20 @@ def test_what_is_issued_now_is_of_the_first_version(issued):
 def test_reference_standards_come_back_and_raise_the_version(tmp_path):
     path, sample = tmp_path / "traced.h5", replace(sample_calibration(), standards=(LOAD_CELL, INDENTER))
     write_calibration(path, sample)
-    assert verify_calibration_file(path).schema_version == KNOWN == 6
+    assert verify_calibration_file(path).schema_version == 6
     assert read_calibration(path).standards == (LOAD_CELL, INDENTER)
     (tmp_path / "traced.json").write_text(json.dumps(json_document(stamp(sample))))
     assert read_json_calibration(tmp_path / "traced.json").standards == (LOAD_CELL, INDENTER)
+
+
+def test_what_a_map_owes_to_a_batch_comes_back_and_raises_the_version(tmp_path):
+    use, sample = BatchUse("d" * 64, True, 0.43, 0.25), sample_calibration()
+    path, sample = tmp_path / "batch.h5", replace(sample, force=replace(sample.force, batch=use))
+    write_calibration(path, sample)
+    assert verify_calibration_file(path).schema_version == KNOWN == 7
+    assert read_calibration(path).force.batch == use
+    (tmp_path / "batch.json").write_text(json.dumps(json_document(stamp(sample))))
+    assert read_json_calibration(tmp_path / "batch.json").force.batch == use
 
 
 @pytest.mark.usefixtures("later")

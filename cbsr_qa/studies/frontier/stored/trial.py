@@ -86,11 +86,19 @@ class StoredTrial:
 
 @dataclass(frozen=True, slots=True)
 class Design:
-    """What a run pressed to calibrate: its places in order, the time held, and how transients were treated."""
+    """What a run pressed to calibrate.
+
+    Parameters
+    ----------
+    places_mm : in the order they were pressed.
+    hold_s, predicted : time that each was held, and whether transients were predicted.
+    longest_s : longest hold of the run, which relaxation can be predicted to.
+    """
 
     places_mm: tuple[Place, ...]
     hold_s: float
     predicted: bool
+    longest_s: float
 
     @property
     def whole(self) -> Way:
@@ -102,13 +110,15 @@ class Design:
         whole = self.whole
         counts = sorted({round(share * whole.places) for share in _SHARES}, reverse=True)
         fewer = [count for count in counts if FEWEST <= count < whole.places]
-        holds = [hold_s for hold_s in _HOLDS_S if hold_s < 0.75 * self.hold_s]
-        return [
+        shorter = [hold_s for hold_s in _HOLDS_S if hold_s < 0.75 * self.hold_s]
+        holds = [self.hold_s, *shorter] if self.hold_s < 0.75 * self.longest_s else shorter
+        ways = [
             whole,
             *(replace(whole, places=count) for count in fewer),
-            *(replace(whole, hold_s=hold_s, predicted=False) for hold_s in holds),
+            *(replace(whole, hold_s=hold_s, predicted=False) for hold_s in shorter),
             *(Way(count, hold_s, predicted=True) for hold_s in holds for count in (whole.places, *fewer)),
         ]
+        return list(dict.fromkeys(ways))
 
     def choose_places(self, count: int) -> tuple[Place, ...]:
         """The places that a number keeps, in the order they were pressed."""
@@ -134,8 +144,9 @@ def read_design(record: RunRecord, settings: AnalysisSettings) -> Design:
             f" the rest takes more than {FEWEST} places and {FEWEST_TESTS} random loads",
             remedy="choose runs of a recipe such as nine-locations or campaign",
         )
-    hold_s = round(float(np.median([load.release_start_s - load.hold_start_s for load in loads])), 1)
-    return Design(places, hold_s, settings.transients == "predicted")
+    hold_s = round(float(np.median([held_s(load) for load in loads])), 1)
+    longest_s = round(max(held_s(load) for phase in record.phases for load in phase.loads), 1)
+    return Design(places, hold_s, settings.transients == "predicted", longest_s)
 
 
 def list_calibrating_phases(record: RunRecord, settings: AnalysisSettings) -> list[PhaseRecord]:

@@ -26,7 +26,7 @@ from cbsr_qa.studies.frontier.trial import select_loads
 from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
 
 SIX = Setting(6, hold_s=25.0, rest_s=10.0, checks=3, first_rest_s=30.0)
-DESIGN = Design(tuple((float(x), float(y)) for x in (-20, 0, 20) for y in (-20, 0, 20)), 60.0, False)
+DESIGN = Design(tuple((float(x), float(y)) for x in (-20, 0, 20) for y in (-20, 0, 20)), 60.0, False, 60.0)
 
 
 def simulated():
@@ -56,6 +56,8 @@ def test_ways_begin_with_the_run_as_it_was_and_keep_places_far_apart():
         (60.0, False), (30.0, False), (15.0, False), (30.0, True), (15.0, True)
     }  # fmt: skip
     assert len(set(ways)) == len(ways)
+    longer = replace(DESIGN, longest_s=240.0).list_ways()
+    assert set(longer) - set(ways) == {Way(count, 60.0, True) for count in (9, 6, 4, 3)}
     assert DESIGN.choose_places(9) == DESIGN.places_mm
     assert DESIGN.choose_places(5) == ((-20.0, -20.0), (-20.0, 20.0), (0.0, 0.0), (20.0, -20.0), (20.0, 20.0))
 
@@ -132,7 +134,7 @@ def test_the_fastest_way_as_accurate_as_the_whole_runs_is_chosen_and_confirmed()
     recommended = choose_way(made(by_places), DESIGN, Target())
     assert recommended.setting == Way(6, 30.0, True).knobs
     assert recommended.seeds == 5
-    assert "at most 1.2 times the force error of the whole runs" in recommended.why
+    assert "at most 1.2 times the force error of the most accurate" in recommended.why
     assert "on 5 sensors and again on 5 others, whose error is stated" in recommended.why
     assert recommended.accuracy[CHANGE].value < 0
     few = choose_way(made(by_places, sensors=4), DESIGN, Target())

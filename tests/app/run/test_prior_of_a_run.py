@@ -1,0 +1,108 @@
+"""The batch's model that a run takes as prior: found, refused, and stored with the run."""
+
+import json
+from dataclasses import asdict, replace
+
+import pytest
+from filled_databases import filled
+from kept_batches import keep_sample
+
+from cbsr_qa.app.run.batch_model import add_prior, read_model_file
+from cbsr_qa.config.documents import DocumentKind
+from cbsr_qa.config.merging import restore
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.studies.simulated import configuration_of, copy_shipped
+
+
+@pytest.fixture(scope="module")
+def configuration():
+    recipe = copy_shipped(DocumentKind.RECIPE, "adaptive-batch")
+    return configuration_of(copy_shipped(DocumentKind.STATION, "simulated"), recipe, seed=1)
+
+
+@pytest.fixture
+def batches(tmp_path, monkeypatch):
+    """Writes a model into the folder of batches."""
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+    (tmp_path / "batches").mkdir()
+
+    def write(kept):
+        path = tmp_path / "batches" / f"{kept.content_sha256[:16]}.json"
+        path.write_text(json.dumps(asdict(kept)))
+        return path
+
+    return write
+
+
+DATABASE = "sqlite:///absent.db"
+MEASURED = (Measurement("drift", 0.1, "%/min"),)
+
+
+def test_a_run_holds_the_model_that_it_used(batches, configuration):
+    batches(keep_sample())
+    with_prior = add_prior(configuration, "41", None, DATABASE)
+    assert with_prior.recipe.analysis.batch == keep_sample()
+    assert with_prior.digest != configuration.digest
+    assert restore(with_prior.canonical).recipe.analysis.batch == keep_sample()
+
+
+def test_the_model_of_the_latest_run_counts(batches, configuration):
+    batches(keep_sample())
+    later = keep_sample(sensors=tuple(replace(sensor, run="f" + sensor.run[1:]) for sensor in keep_sample().sensors))
+    batches(later)
+    batches(keep_sample(batch="42"))
+    assert add_prior(configuration, "41", None, DATABASE).recipe.analysis.batch == later
+
+
+@pytest.mark.parametrize(
+    ("changes", "batch", "words"),
+    [
+        ({}, "43", "no model of batch '43'"),
+        ({}, "", "the sensor's batch is not named"),
+        ({"sensor_type": "disc-150mm"}, "41", "is of sensor type disc-150mm, and the run of disc-100mm"),
+        ({"material": "cbsr-9wt"}, "41", "is of material cbsr-9wt, and the run of cbsr-8wt"),
+        ({"head_mm": 8.0}, "41", "is of head 8 mm, and the run of 13 mm"),
+    ],
+)
+def test_a_model_that_does_not_fit_is_refused_before_anything_moves(batches, configuration, changes, batch, words):
+    batches(keep_sample(**changes))
+    with pytest.raises(RefusedError, match=r"fits this run|not named") as refused:
+        add_prior(configuration, batch, None, DATABASE)
+    assert words in refused.value.reason
+
+
+def test_a_named_file_of_another_batch_is_refused(batches, configuration):
+    path = batches(keep_sample())
+    with pytest.raises(RefusedError, match="is of batch 41, and the run of 42"):
+        add_prior(configuration, "42", path, DATABASE)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda text: text.replace('"head_mm": 13.0', '"head_mm": 12.0'), "was changed"),
+        (lambda text: text.replace('"layout": 1', '"layout": 7'), "layout 7; this version reads 1"),
+        (lambda text: text[: len(text) // 2], "cannot be read"),
+        (lambda text: "[]", "layout None"),
+    ],
+)
+def test_a_changed_or_broken_file_is_named(batches, change, words):
+    path = batches(keep_sample())
+    path.write_text(change(path.read_text()))
+    with pytest.raises(ConfigError) as refused:
+        read_model_file(path)
+    assert words in refused.value.reason
+    assert str(path) in refused.value.reason
+
+
+def test_a_model_older_than_the_drift_of_its_batch_is_refused(batches, configuration, tmp_path):
+    batches(keep_sample(level_drift=0.02))
+    database = tmp_path / "runs.db"
+    filled(database, [(f"S-{90 + number}", MEASURED, {"batch": "41", "day": number}) for number in range(12)])
+    with pytest.raises(
+        RefusedError, match=r"changes by \+2.0% from one sensor to the next, and 12 sensors were tested"
+    ):
+        add_prior(configuration, "41", None, f"sqlite:///{database}")
+    batches(keep_sample())  # without a drift that is shown, age does not matter
+    assert add_prior(configuration, "41", None, f"sqlite:///{database}").recipe.analysis.batch == keep_sample()
