@@ -9,14 +9,17 @@ from scipy.interpolate import PchipInterpolator
 
 from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
 from cbsr_qa.calibration.batch.loads import BatchLoads, SensorLoads
-from cbsr_qa.calibration.batch.posterior import Posterior, find_posterior
+from cbsr_qa.calibration.batch.posterior import Posterior, find_posterior, slope_of_share
 from cbsr_qa.calibration.batch.prior import BatchPrior
+from cbsr_qa.domain.numbers import Array
 
 #: Number of members that a prior is made of.
 _MEMBERS: Final = 100
 #: Number of places at which the density of ζ is integrated, and the probability of the interval.
 _FINE: Final = 4001
 _PROBABILITY: Final = 0.95
+#: Density over the largest one where the lattice has none.
+_NO_DENSITY: Final = 1e-9
 #: ρ from which on sensors cannot be told from identical ones.
 _IDENTICAL: Final = 0.9995
 
@@ -27,7 +30,7 @@ class Share:
 
     Parameters
     ----------
-    value : median of the posterior.
+    value : median of the posterior, or the end of the interval that it is beyond.
     mean : its mean.
     """
 
@@ -83,24 +86,34 @@ def thin(posterior: Posterior, members: int) -> tuple[tuple[Hyperparameters, ...
 
 
 def estimate_share(posterior: Posterior) -> Share:
-    """Median, mean and interval of ρ.
+    """Median and mean of ρ, and its interval.
 
-    The interval is the shortest in ζ = ln(1 + S ρ/(1 − ρ)), whose standard error hardly depends on ρ; so it begins at
-    zero where zero is as likely as what it ends at.
+    The interval has Jeffreys' prior, by which it holds ρ as often as it says: both tails outside of it are alike,
+    unless zero is as likely as what a shortest interval ends at; it is the shortest then, from zero.
     """
+    matched = posterior.weights / np.sqrt(slope_of_share(posterior.share, posterior.sensors))
+    shares, mass = _spread_mass(posterior, posterior.weights)
+    ratio = np.expm1(shares) / posterior.sensors
+    rho = ratio / (1 + ratio)
+    median = rho[np.searchsorted(np.cumsum(mass), 0.5)]
+    _, matched_mass = _spread_mass(posterior, matched / matched.sum())
+    order = np.argsort(-matched_mass, kind="stable")
+    shortest = order[: int(np.searchsorted(np.cumsum(matched_mass[order]), _PROBABILITY)) + 1]
+    tail = (1 - _PROBABILITY) / 2
+    ends = np.searchsorted(np.cumsum(matched_mass), [tail, 1 - tail])
+    first, last = (0, shortest.max()) if shortest.min() == 0 else ends
+    low, high = float(rho[first]), float(rho[last])
+    high = 1.0 if high > _IDENTICAL else high
+    return Share(float(np.clip(median, low, high)), low, high, float(mass @ rho))
+
+
+def _spread_mass(posterior: Posterior, weights: Array) -> tuple[Array, Array]:
+    """Finely spaced ζ, and the weights spread over them: the logarithm of the density is interpolated."""
     step, last = posterior.share_step, round(float(posterior.share.max()) / posterior.share_step)
     nodes = np.arange(last + 2) * step
-    mass = np.bincount(np.round(posterior.share / step).astype(np.intp), posterior.weights, minlength=last + 2)
+    mass = np.bincount(np.round(posterior.share / step).astype(np.intp), weights, minlength=last + 2)
     density = mass / np.where(nodes == 0, step / 2, step)
     fine = np.linspace(0.0, nodes[-1], _FINE)
-    log_density = PchipInterpolator(nodes, np.log(np.maximum(density, density.max() * 1e-9)))(fine)
-    fine_density = np.exp(log_density)
-    fine_mass = fine_density / fine_density.sum()
-    order = np.argsort(-fine_density, kind="stable")
-    inside = fine[order[: int(np.searchsorted(np.cumsum(fine_mass[order]), _PROBABILITY)) + 1]]
-    ratio = np.expm1(fine) / posterior.sensors
-    rho = ratio / (1 + ratio)
-    low, median, high = np.interp(
-        [inside.min(), fine[np.searchsorted(np.cumsum(fine_mass), 0.5)], inside.max()], fine, rho
-    )
-    return Share(float(median), float(low), 1.0 if high > _IDENTICAL else float(high), float(fine_mass @ rho))
+    log_density = PchipInterpolator(nodes, np.log(np.maximum(density, density.max() * _NO_DENSITY)))(fine)
+    spread: Array = np.exp(log_density - log_density.max())
+    return fine, spread / spread.sum()

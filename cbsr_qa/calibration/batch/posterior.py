@@ -24,8 +24,8 @@ _SCATTERS: Final = np.array([0.0, 0.0025, 0.005, 0.01, 0.02, 0.04])
 _LEVELS: Final = np.concatenate([[0.0], 0.005 * 2.0 ** np.arange(7)])
 #: Least and largest deviation of single maps, and largest of maps altogether. The least is far below the
 #: repeatability of any press: such sensors are identical.
-_OWN: Final = (0.001, 0.6)
-_LARGEST: Final = 0.8
+_OWN: Final = (0.001, 1.5)
+_LARGEST: Final = 2.0
 #: Scale of the prior of the deviation of levels (half Cauchy). Chosen by us.
 _USUAL_LEVEL: Final = 0.05
 #: Steps of a lattice over the standard error of a coordinate, and their bounds.
@@ -34,6 +34,8 @@ _STEPS_OWN: Final = (0.03, 0.25)
 _STEPS_SHARE: Final = (0.15, 0.5)
 #: Logarithm of the least weight, relative to the largest, from which a point's neighbours are computed.
 _NEGLIGIBLE: Final = -9.0
+#: Largest number of points of a lattice; loads that would fill more tell less apart than it does.
+_MOST_POINTS: Final = 60_000
 #: Distances of the points from which the best one is found, in steps of each coordinate.
 _COARSE: Final = (1, 3, 3, 6, 3, 4)
 
@@ -59,18 +61,25 @@ class Posterior:
 
 
 class _Lattice:
-    """Coordinates, and the prior's mass in each cell."""
+    """Coordinates, and the prior's mass in each cell.
 
-    def __init__(self, loads: BatchLoads, radius_mm: float) -> None:
+    Parameters
+    ----------
+    coarseness : factor on the usual distances of points.
+    """
+
+    def __init__(self, loads: BatchLoads, radius_mm: float, coarseness: int) -> None:
         self.sensors = len(loads.which)
         places = float(np.mean([len(which) for which in loads.which]))
-        own_step = float(np.clip(_STEP / np.sqrt(2 * self.sensors * places), *_STEPS_OWN))
-        self.share_step = float(np.clip(_STEP * np.sqrt(2 / max(len(loads.places_mm) - 1, 1)), *_STEPS_SHARE))
+        own_step = coarseness * float(np.clip(_STEP / np.sqrt(2 * self.sensors * places), *_STEPS_OWN))
+        share_error = np.sqrt(2 / max(len(loads.places_mm) - 1, 1))
+        self.share_step = coarseness * float(np.clip(_STEP * share_error, *_STEPS_SHARE))
         low, high = np.log(_OWN)
         owns = np.exp(np.linspace(low, high, int(np.ceil((high - low) / own_step)) + 1))
         most = np.log1p(self.sensors * (_LARGEST / _OWN[0]) ** 2)
         shares = np.arange(0.0, most, self.share_step)
-        self.axes = [np.array([False, True]), _LENGTHS * radius_mm, _SCATTERS, owns, shares, _LEVELS]
+        lengths_mm, scatters, levels = (axis[::coarseness] for axis in (_LENGTHS * radius_mm, _SCATTERS, _LEVELS))
+        self.axes = [np.array([False, True]), lengths_mm, scatters, owns, shares, levels]
         self.size = np.array([len(axis) for axis in self.axes])
 
     def place(self, points: Indices) -> list[Array]:
@@ -85,15 +94,23 @@ class _Lattice:
     def log_prior(self, points: Indices) -> Array:
         """Logarithm of the prior's density times the cell; −∞ outside of what it allows.
 
-        Deviation and scatter have the priors of single maps. ρ has Jeffreys' prior of an intraclass correlation, even
-        in ζ: a uniform one draws ρ near 1 down (``benchmarks/batch_rho.py``).
+        Deviation and scatter have the priors of single maps. That of ρ is between a uniform one and Jeffreys' of an
+        intraclass correlation, which is even in ζ: the square root of their product.
         """
         _, _, scatter, own, share, level = self.place(points)
         deviation = own * np.sqrt(1 + np.expm1(share) / self.sensors)
         density = np.log(deviation) - np.log1p((deviation / USUAL_DEVIATION) ** 2)
+        density = density + np.log(slope_of_share(share, self.sensors)) / 2
         density = density - scatter / USUAL_SCATTER - np.log1p((level / _USUAL_LEVEL) ** 2)
         cells = [np.log(_measure_cells(self.axes[number])[points[:, number]]) for number in (2, 4, 5)]
         return np.where(deviation <= _LARGEST, density + np.sum(cells, axis=0), -np.inf)
+
+
+def slope_of_share(share: Array, sensors: int) -> Array:
+    """Slope dρ/dζ = (1 − ρ) ((1 − ρ)/S + ρ) at ζ."""
+    ratio = np.expm1(share) / sensors
+    slope: Array = (1 / sensors + ratio) / (1 + ratio) ** 2
+    return slope
 
 
 def find_posterior(likelihood: BatchLikelihood, radius_mm: float) -> Posterior:
@@ -103,14 +120,18 @@ def find_posterior(likelihood: BatchLikelihood, radius_mm: float) -> Posterior:
     ----------
     radius_mm : radius of the sheet, the unit of the correlation lengths.
     """
-    lattice = _Lattice(likelihood.loads, radius_mm)
-    coarse = np.stack(
-        np.meshgrid(
-            *(np.arange(step // 2, size, step) for step, size in zip(_COARSE, lattice.size, strict=True)),
-            indexing="ij",
-        ),
-        axis=-1,
-    ).reshape(-1, len(_COARSE))
+    coarseness = 1
+    while (found := _fill(_Lattice(likelihood.loads, radius_mm, coarseness), likelihood)) is None:
+        coarseness *= 2
+    return found
+
+
+def _fill(lattice: _Lattice, likelihood: BatchLikelihood) -> Posterior | None:
+    """Fill a lattice outwards from its best points; None if it would take too many."""
+    starts = [
+        np.arange(min(step // 2, size - 1), size, step) for step, size in zip(_COARSE, lattice.size, strict=True)
+    ]
+    coarse = np.stack(np.meshgrid(*starts, indexing="ij"), axis=-1).reshape(-1, len(starts))
     scores = _score(lattice, likelihood, coarse)
     best_of_kind = [
         number
@@ -121,6 +142,8 @@ def find_posterior(likelihood: BatchLikelihood, radius_mm: float) -> Posterior:
     known = {tuple(coarse[number].tolist()): float(scores[number]) for number in best_of_kind}
     spread: set[tuple[int, ...]] = set()
     while frontier := _list_open(known, spread):
+        if len(known) > _MOST_POINTS:
+            return None
         spread.update(frontier)
         new = sorted({other for point in frontier for other in _list_neighbours(point, lattice.size)} - known.keys())
         if new:

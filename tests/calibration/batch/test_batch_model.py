@@ -172,6 +172,27 @@ def test_identical_sensors_have_everything_in_common():
     assert (found.low > 0.99, found.high) == (True, 1.0)
 
 
+@pytest.mark.parametrize("what", ["one place", "one load each", "noise alone"])
+def test_loads_that_say_nothing_of_what_is_shared_leave_everything_open(what):
+    random = np.random.default_rng(10)
+    places = {"one place": np.zeros((20, 2)), "one load each": np.zeros((1, 2)), "noise alone": place_sunflower(9)}[
+        what
+    ]
+    noise = 0.3 if what == "noise alone" else 0.01
+    loads = [
+        SensorLoads(
+            places,
+            0.1 * random.standard_normal() + noise * random.standard_normal(len(places)),
+            np.full(len(places), noise**2),
+        )
+        for _ in range(5)
+    ]
+    found = learn_batch(loads, radius_mm=RADIUS_MM).rho
+    assert found.low == 0.0
+    assert found.high > 0.95
+    assert 0.2 < found.value < 0.8
+
+
 def test_a_sensor_of_another_batch_stands_out():
     random = np.random.default_rng(9)
     sensors, _ = draw_batch(random, 0.9)
