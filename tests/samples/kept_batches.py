@@ -11,8 +11,16 @@ from cbsr_qa.config.merging import BATCH_LAYOUT, digest_batch_model
 from cbsr_qa.domain.plan.batch_model import KeptBatch, KeptKernel, KeptMember, KeptRelaxation, KeptSensor
 
 #: Relaxation of the material cbsr-8wt after a press: of the conductance, and of the stress.
-STRENGTH = KeptKernel(True, (-0.21, -0.54), (2.2, 21.9), ((1e-5, 0, 0, 0), (0, 1e-5, 0, 0), (0, 0, 1e-3, 0), (0, 0, 0, 1e-4)),
-                      (0.008, 0.02), 13.0, 30, 0.0)  # fmt: skip
+STRENGTH = KeptKernel(
+    loading=True,
+    weights=(-0.21, -0.54),
+    time_constants_s=(2.2, 21.9),
+    covariance=((1e-5, 0.0, 0.0, 0.0), (0.0, 1e-5, 0.0, 0.0), (0.0, 0.0, 1e-3, 0.0), (0.0, 0.0, 0.0, 1e-4)),
+    scatter=(0.008, 0.02),
+    scatter_freedom=13.0,
+    loads=30,
+    start_s=0.0,
+)
 STRESS = replace(STRENGTH, weights=(0.15, 0.1), time_constants_s=(2.0, 15.0), scatter=(4e-4, 2e-4))
 
 

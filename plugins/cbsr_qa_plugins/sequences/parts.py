@@ -36,10 +36,10 @@ LONGEST_S: Final = 86400.0
 UNLOADED_FRAMES: Final = 16
 #: Of a phase after the one that took those: they show what residues there are before its first press.
 _FEW_FRAMES: Final = 4
-#: Fewest square millimetres of the triangle of a plane's touches: with less they lie nearly in a line.
+#: Least area of the triangle of a plane's touches [mm²]: with less they lie nearly in a line.
 _LEAST_TRIANGLE_MM2: Final = 100.0
-#: Standard deviation of the image of a press [mm]: how much of a residue is seen at another place. Images of simulated
-#: sheets at noise figure 1 have 12 mm at the centre and 8 mm near the edge.
+#: Standard deviation of the image of a press [mm]: how much of a residue is seen at another place. Images of
+#: simulated sheets at noise figure 1 have 12 mm at the centre and 8 mm near the edge.
 IMAGE_SPREAD_MM: Final = 11.0
 
 
