@@ -89,7 +89,7 @@ def choose_runs(
         if why:
             left_out.append(LeftOutRun(line.serial, line.run, why))
         count(number + 1, len(of_kind))
-    _refuse_few(records, left_out, choice)
+    refuse_few(len(records), left_out, choice)
     _refuse_other_settings(records)
     return tuple(records), tuple(left_out)
 
@@ -128,13 +128,14 @@ def _refuse_mixture(store: Repository, lines: Sequence[RunLine]) -> None:
             )
 
 
-def _refuse_few(records: Sequence[RunRecord], left_out: Sequence[LeftOutRun], choice: BatchChoice) -> None:
-    if len(records) >= FEWEST:
+def refuse_few(sensors: int, left_out: Sequence[LeftOutRun], choice: BatchChoice) -> None:
+    """Refuse a batch of fewer sensors than a model needs, with the reasons for those that were left out."""
+    if sensors >= FEWEST:
         return
     others = f"; left out: {list_names(tuple(_words(left_out)))}" if left_out else ""
     batch = "" if choice.runs.batch is None else f" of batch {echo(choice.runs.batch, 64)}"
     raise RefusedError(
-        f"{plural(len(records), 'sensor')}{batch} can be learned from; {FEWEST} are needed{others}",
+        f"{plural(sensors, 'sensor')}{batch} can be learned from; {FEWEST} are needed{others}",
         remedy="measure more sensors, or choose other runs",
     )
 

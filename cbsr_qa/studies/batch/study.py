@@ -2,7 +2,7 @@
 
 import hashlib
 import re
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Annotated, Final
 
@@ -12,15 +12,17 @@ from scipy import stats
 
 from cbsr_qa.calibration.batch.left_out import leave_each_out
 from cbsr_qa.calibration.batch.model import BatchModel, Share, learn_batch
-from cbsr_qa.calibration.batch.prior import BatchMap
+from cbsr_qa.calibration.batch.prior import BatchMap, Likeness
 from cbsr_qa.config.merging import canonical_json
 from cbsr_qa.config.paths import database_url
+from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.batch_model import KeptRelaxation
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.stats.difference import holm
 from cbsr_qa.store.opening import open_store
-from cbsr_qa.studies.batch.choice import BatchChoice, LeftOutRun, choose_runs
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.studies.batch.choice import BatchChoice, LeftOutRun, choose_runs, refuse_few
 from cbsr_qa.studies.batch.relaxation import learn_relaxation
 from cbsr_qa.studies.batch.sensors import StoredSensor, observe_sensor
 
@@ -161,40 +163,16 @@ def study_batch(
         As :func:`~cbsr_qa.studies.batch.choice.choose_runs`.
     """
     with open_store(database_url(database), create=False) as store:
-        stage("reading the runs")
-        records, left_out = choose_runs(store, choice, count)
-        stage("imaging")
-        sensors = []
-        for number, record in enumerate(records):
-            sensors.append(observe_sensor(store, record))
-            count(number + 1, len(records))
+        sensors, left_out = _observe_runs(store, choice, stage, count)
+    records = [sensor.record for sensor in sensors]
     stage("learning the batch")
     first = records[0]
     model = learn_batch([sensor.loads for sensor in sensors], radius_mm=first.sensor_type.radius_mm)
     stage("comparing each sensor with the others")
     beside = list(leave_each_out(model, count))
     maps, places_mm = tuple(found for _, found in beside), _place_lattice(model.loads.places_mm)
-    adjusted = holm([likeness.p_value for likeness, _ in beside])
     levels = [found.average(places_mm) for found in maps]
     middle = float(np.mean([level for level, _ in levels]))
-    common = model.prior.predict(places_mm)[0]
-    described = tuple(
-        SensorOfBatch(
-            serial=sensor.record.identity.sensor.serial,
-            run=sensor.record.identity.run,
-            chain_head=sensor.record.chain_head,
-            loads=len(sensor.loads.log_response),
-            level=float(np.expm1(level - middle)),
-            level_stderr=float(np.sqrt(variance)),
-            deviation=float(np.sqrt(np.mean((found.predict(places_mm)[0] - common) ** 2))),
-            p_value=likeness.p_value,
-            log_evidence=likeness.log_evidence,
-            stands_out=bool(p_value < STANDS_OUT),
-        )
-        for sensor, (likeness, found), (level, variance), p_value in zip(
-            sensors, beside, levels, adjusted, strict=True
-        )
-    )
     choices, weights = model.posterior.choices, model.posterior.weights
 
     def deviation(values: Sequence[float]) -> float:
@@ -211,7 +189,7 @@ def study_batch(
         level_deviation=deviation([one.level for one in choices]),
         scatter=deviation([one.scatter for one in choices]),
         length_mm=float(weights @ np.array([one.length_mm for one in choices])),
-        sensors=described,
+        sensors=tuple(_describe_sensors(sensors, model, beside, [(level - middle, v) for level, v in levels])),
         quantities=_describe_quantities(sensors, [level - middle for level, _ in levels]),
         expected=_expect_errors(model, places_mm),
         left_out=left_out,
@@ -224,6 +202,49 @@ def study_batch(
         places_mm=places_mm,
         shape=first.sensor_type,
     )
+
+
+def _observe_runs(
+    store: Repository, choice: BatchChoice, stage: Callable[[str], None], count: Callable[[int, int], None]
+) -> tuple[list[StoredSensor], tuple[LeftOutRun, ...]]:
+    """Choose and image the runs; one that says nothing of the response is left out, with the reason."""
+    stage("reading the runs")
+    records, left_out = choose_runs(store, choice, count)
+    stage("imaging")
+    sensors, silent = [], []
+    for number, record in enumerate(records):
+        try:
+            sensors.append(observe_sensor(store, record))
+        except CbsrError as error:
+            silent.append(LeftOutRun(record.identity.sensor.serial, record.identity.run, error.reason))
+        count(number + 1, len(records))
+    refuse_few(len(sensors), (*left_out, *silent), choice)
+    return sensors, (*left_out, *silent)
+
+
+def _describe_sensors(
+    sensors: Sequence[StoredSensor],
+    model: BatchModel,
+    beside: Sequence[tuple[Likeness, BatchMap]],
+    levels: Sequence[tuple[float, float]],
+) -> Iterator[SensorOfBatch]:
+    """Yield each sensor beside the others; levels with their variances."""
+    places_mm = _place_lattice(model.loads.places_mm)
+    common = model.prior.predict(places_mm)[0]
+    adjusted = holm([likeness.p_value for likeness, _ in beside])
+    for sensor, (likeness, found), (level, variance), p_value in zip(sensors, beside, levels, adjusted, strict=True):
+        yield SensorOfBatch(
+            serial=sensor.record.identity.sensor.serial,
+            run=sensor.record.identity.run,
+            chain_head=sensor.record.chain_head,
+            loads=len(sensor.loads.log_response),
+            level=float(np.expm1(level)),
+            level_stderr=float(np.sqrt(variance)),
+            deviation=float(np.sqrt(np.mean((found.predict(places_mm)[0] - common) ** 2))),
+            p_value=likeness.p_value,
+            log_evidence=likeness.log_evidence,
+            stands_out=bool(p_value < STANDS_OUT),
+        )
 
 
 def digest_runs(runs: Sequence[tuple[str, str]]) -> str:

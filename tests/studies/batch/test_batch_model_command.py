@@ -13,7 +13,7 @@ from stored_lots import store_run
 
 from cbsr_qa.app.run.batch_model import read_model_file
 from cbsr_qa.calibration.batch.kept import make_prior
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.states import EndReason
@@ -38,10 +38,12 @@ def observed(monkeypatch):
     strange = press(random, draw_map(random, draw_field(random), 0.9), place_sunflower(16))
 
     class Observed:
-        odd = None
+        odd = silent = None
 
         def __call__(self, store, record):
             number = int(record.identity.sensor.serial[2:])
+            if number == self.silent:
+                raise NumericsError("no load was pressed alone")
             loads = strange if number == self.odd else sensors[number]
             return StoredSensor(record, loads, {SETTLING: 20.0 + number + random.standard_normal() / 10})
 
@@ -83,6 +85,15 @@ def test_document_says_what_is_shared_and_what_it_rests_on(database, observed, m
     errors = [expected["error"] for expected in found["expected"]]
     assert errors == sorted(errors, reverse=True)
     assert not any(sensor["stands_out"] for sensor in found["sensors"])
+
+
+def test_a_run_that_says_nothing_of_the_response_is_left_out_with_the_reason(database, observed, model, refused):
+    observed.silent = 3
+    found = model(database)
+    assert len(found["sensors"]) == 5
+    assert [(one["serial"], one["why"]) for one in found["left_out"]] == [("B-03", "no load was pressed alone")]
+    assert "4 sensors" in (said := refused(database, "--without", "B-00"))
+    assert "B-03 (no load was pressed alone)" in said
 
 
 @pytest.mark.rest
