@@ -17,6 +17,8 @@ TIME_COLUMN: Final = "time_s"
 _TIMES: Final = frozenset({"time", "times", "timestamp", "t"})
 #: Ratio of sizes from which they are in different units: prefixes are 1000 apart, loads change frames by far less.
 _OTHER_UNIT: Final = 30.0
+#: Rows from which one of them is odd against the others.
+_FEWEST_ROWS: Final = 3
 
 
 class ComplexPart(StrEnum):
@@ -110,6 +112,7 @@ def check_same_unit(frames: FrameTable, rest: FrameTable | None = None) -> None:
         for row, ratio in find_odd_sizes(frames.readings)
     ]
     if rest is not None and not problems:
+        _refuse(rest.path, list(_cell_problems(rest)), "correct the cell, or leave the row out")
         check_same_unit(rest)
         level, rest_level = (np.median(np.abs(table.readings), axis=0) for table in (frames, rest))
         problems = list(_level_problems(frames.columns, level, rest_level, rest.path))
@@ -143,6 +146,20 @@ def _level_problems(columns: tuple[str, ...], level: Array, rest_level: Array, r
     for k in np.flatnonzero(noticeable).tolist():
         if ratio := find_other_unit(float(level[k]), float(rest_level[k])):
             yield f"column {columns[k]}: its readings are {ratio:.4g} times as large as those of {rest}"
+
+
+def _cell_problems(rest: FrameTable) -> Iterator[str]:
+    """Name readings at rest that alone of their row are in a larger unit; of two rows none is known to be."""
+    sizes = np.abs(rest.readings)
+    level = np.median(sizes, axis=0)
+    if len(sizes) < _FEWEST_ROWS:
+        return
+    noticeable = level > float(np.median(level)) / _OTHER_UNIT
+    odd = (sizes >= _OTHER_UNIT * level) & noticeable
+    odd[odd.sum(axis=1) > 1] = False
+    for row, column in np.argwhere(odd).tolist():
+        ratio = sizes[row, column] / level[column]
+        yield f"row {row + 1}, column {rest.columns[column]}: {ratio:.4g} times as large as in the other rows"
 
 
 def _split_columns(table: NumberTable, pairs: int) -> tuple[tuple[str, ...], Array | None]:

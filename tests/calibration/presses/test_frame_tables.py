@@ -80,6 +80,10 @@ def test_rows_columns_and_tables_in_another_unit_are_named(tmp_path):
         check_same_unit(scaled("frames.csv", a=1e3, b=1e3, c=1e3), rest)
     with pytest.raises(RecordingError, match=r"column b: its readings are 0.001 times as large as those of"):
         check_same_unit(scaled("frames.csv", b=1e-3), rest)
+    many = "\n".join(["a,b,c", *(f"1.{k},2.{k},-3.{k}" for k in range(9))])
+    wrong = read_frame_table(written(tmp_path, many.replace("2.4", "2400"), "rest.csv"), 3)
+    with pytest.raises(RecordingError, match=r"rest.csv: row 5, column b: 960 times as large as in the other rows"):
+        check_same_unit(rest, wrong)
 
 
 def test_each_part_of_complex_readings_is_what_its_name_says(tmp_path):
