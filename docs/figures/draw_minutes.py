@@ -1,6 +1,6 @@
 """Draw the first figure of docs/explanation/what-accuracy-costs.md from the first table of that page.
 
-Run ``python docs/figures/draw_minutes.py`` after the table has changed; the commands below the table measure it again.
+Run ``python docs/figures/draw_minutes.py`` after the table has changed; the commands below it measure it again.
 """
 
 import re
