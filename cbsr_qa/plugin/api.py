@@ -36,6 +36,7 @@ from cbsr_qa.domain.plan.limits import (
 from cbsr_qa.domain.plan.plan import Motion as Motion, SafetyLimits as SafetyLimits
 from cbsr_qa.domain.plan.steps import (
     CLEARANCE_MM as CLEARANCE_MM,
+    LEAST_SPREAD_MM as LEAST_SPREAD_MM,
     SEARCH_CONTACT_STEPS as SEARCH_CONTACT_STEPS,
     SEARCH_DWELL_S as SEARCH_DWELL_S,
     SEARCH_FROM_MM as SEARCH_FROM_MM,
@@ -53,6 +54,7 @@ from cbsr_qa.domain.plan.steps import (
     Step as Step,
     StrainStep as StrainStep,
     TouchPlane as TouchPlane,
+    spread_mm as spread_mm,
 )
 from cbsr_qa.domain.plan.world import (
     CONTACT_LENGTH_MM as CONTACT_LENGTH_MM,

@@ -69,13 +69,16 @@ def relative_drift(frames: FrameBlock, usable: NDArray[np.bool_]) -> float:
     """Drift between the halves of some frames, as a share of the noise of one frame.
 
     Both are root mean squares over the usable readings; noise comes from successive frames, and what it adds to the
-    difference of two means is taken off. 0 where the difference is no more than that; infinite without noise.
+    difference of two means is taken off. 0 where the difference is no more than that; infinite without noise, or
+    without a usable reading.
 
     Parameters
     ----------
     usable : (drives, measures) bool.
     """
     counted = usable & ~(frames.flags & UNUSABLE).any(axis=0)
+    if not counted.any():
+        return float("inf")
     voltages = frames.voltages[:, counted]
     half = len(voltages) // 2
     squared = ((voltages[half:].mean(axis=0) - voltages[:half].mean(axis=0)) ** 2).sum()

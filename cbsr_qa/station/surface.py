@@ -10,15 +10,18 @@ import numpy as np
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.plan import Motion
-from cbsr_qa.domain.plan.steps import CLEARANCE_MM, SEARCH_FROM_MM, FindSurface, TouchPlane
+from cbsr_qa.domain.plan.steps import (
+    CLEARANCE_MM,
+    LEAST_SPREAD_MM,
+    SEARCH_FROM_MM,
+    FindSurface,
+    TouchPlane,
+    spread_mm,
+)
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.plugin.instruments import GuidedApplicator, Sampler
 from cbsr_qa.station.bench import FORCE_CHANNEL
 
-#: Fewest touches of a plane, and their least distance from a line (root mean square): with 5 mm an error of 0.01 mm
-#: of a touch tilts the plane by less than 0.1 mm over 40 mm.
-_FEWEST: Final = 3
-LEAST_SPREAD_MM: Final = 5.0
 #: Steepest plane that a stage can have: 0.8 mm over 40 mm, about what the surface search looks at.
 _MOST_TILT: Final = 0.02
 #: Forces that tell where contact was: the first ones above that of the surface search.
@@ -42,14 +45,6 @@ class Plane:
     def tilt(self) -> float:
         """Steepest slope [mm per mm]."""
         return math.hypot(*self.slope)
-
-
-def spread_mm(places_mm: Sequence[Place]) -> float:
-    """Root mean square distance of places from the line nearest to them [mm]; 0 with fewer than three."""
-    if len(places_mm) < _FEWEST:
-        return 0.0
-    centred = np.array(places_mm) - np.mean(places_mm, axis=0)
-    return float(np.linalg.svd(centred, compute_uv=False)[-1] / len(places_mm) ** 0.5)
 
 
 def fit_plane(depths_mm: dict[Place, float], tolerance_mm: float) -> Plane:

@@ -19,6 +19,7 @@ from cbsr_qa.domain.plan.steps import (
     Settle,
     StrainStep,
     TouchPlane,
+    spread_mm,
 )
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
 from cbsr_qa.domain.run.run import FramesTaken, StepRetried, StepStarted, Unloaded
@@ -29,7 +30,7 @@ from cbsr_qa.station.execution import execute
 from cbsr_qa.station.noise import relative_drift
 from cbsr_qa.station.plan import schedule
 from cbsr_qa.station.setup import open_station, plan_of, station_clock
-from cbsr_qa.station.surface import SheetSurface, contact_depth_mm, fit_plane, spread_mm
+from cbsr_qa.station.surface import SheetSurface, contact_depth_mm, fit_plane
 from cbsr_qa.studies.simulated import configuration_of, copy_shipped
 from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa.testing.bench import Script, example_identity, example_plan, make_scripted_bench
@@ -263,6 +264,7 @@ def test_drift_is_measured_in_units_of_the_noise():
     halves = 1e-3 * 12 / 11  # difference of the means of the halves of a ramp from −1 to 1
     assert np.mean(moving) == pytest.approx(halves / 1e-3, rel=0.05)
     assert relative_drift(frames(noise=0.0), usable) == 0
+    assert relative_drift(frames(), ~usable) == float("inf")
     assert relative_drift(frames(drift=1e-3, noise=0.0), usable) > 1
 
 

@@ -75,13 +75,15 @@ class Setting:
     @property
     def knobs(self) -> dict[str, Knob]:
         """Settings, for tables and documents; what saves time per press only where it is used."""
-        quick: dict[str, Knob | None] = {
+        savings: dict[str, Knob | None] = {
             "surface": "plane" if self.plane else None,
             "clearance_mm": self.clearance_mm,
             "residue_percent": self.residue_percent,
             "drift": self.drift,
             "unloaded_frames": 4 if self.few_frames else None,
         }
+        is_quick = any(value is not None for value in savings.values())
+        quick = {name: "–" if value is None else value for name, value in savings.items()} if is_quick else {}
         return {
             "places": self.places,
             "strains": len(self.strains_percent),
@@ -92,7 +94,7 @@ class Setting:
             "frames": self.steady_frames,
             "frame_s": self.frame_period_s,
             "choice": self.choice,
-            **{name: value for name, value in quick.items() if value is not None},
+            **quick,
         }
 
     @property

@@ -8,6 +8,7 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import AfterValidator, BeforeValidator, Field
 
 from cbsr_qa.plugin import (
+    LEAST_SPREAD_MM,
     AcquireFrames,
     Array,
     ConfigError,
@@ -23,6 +24,7 @@ from cbsr_qa.plugin import (
     Settle,
     Step,
     TouchPlane,
+    spread_mm,
 )
 
 #: Lowest strain any sequence may request [%]: 0.04 mm of a 4 mm sheet, less than one step of 0.05 mm in which the
@@ -36,8 +38,6 @@ LONGEST_S: Final = 86400.0
 UNLOADED_FRAMES: Final = 16
 #: Of a phase after the one that took those: they show what residues there are before its first press.
 _FEW_FRAMES: Final = 4
-#: Least area of the triangle of a plane's touches [mm²]: with less they lie nearly in a line.
-_LEAST_TRIANGLE_MM2: Final = 100.0
 #: Standard deviation of the image of a press [mm]: how much of a residue is seen at another place. Images of
 #: simulated sheets at noise figure 1 have 12 mm at the centre and 8 mm near the edge.
 IMAGE_SPREAD_MM: Final = 11.0
@@ -145,40 +145,35 @@ def prepare_sheet(options: RestedOptions, places_mm: Iterable[tuple[float, float
         yield Hold(options.initial_rest_s, acquire=True)
 
 
-def touch_plane(places_mm: Iterable[tuple[float, float]], tolerance_mm: float) -> Iterator[Step]:
-    """Touch the sheet at the places of a plane."""
+def touch_plane(places_mm: Sequence[tuple[float, float]], tolerance_mm: float) -> Iterator[Step]:
+    """Touch the sheet at the places of a plane.
+
+    Raises
+    ------
+    ConfigError
+        If they are fewer than three, or nearly in a line.
+    """
+    if spread_mm(places_mm) < LEAST_SPREAD_MM:
+        raise ConfigError(
+            f'surface = "plane": the places touched lie less than {LEAST_SPREAD_MM:g} mm from a line',
+            remedy='give touches_mm three places farther from a line, or use surface = "each"',
+        )
     for x_mm, y_mm in places_mm:
         yield TouchPlane(x_mm, y_mm, tolerance_mm)
 
 
 def spread_touches(places_mm: Sequence[tuple[float, float]]) -> tuple[tuple[float, float], ...]:
-    """Choose the three of a phase's places that span the largest triangle, in the order of the phase.
-
-    Raises
-    ------
-    ConfigError
-        If the places are fewer than three, or nearly in a line.
-    """
+    """Choose the three of a phase's places that lie farthest from a line, in the order of the phase; fewer if few."""
     triples = combinations(_hull(list(dict.fromkeys(places_mm))), 3)
-    largest = max(triples, key=_triangle_mm2, default=())
-    if not largest or _triangle_mm2(largest) < _LEAST_TRIANGLE_MM2:
-        raise ConfigError(
-            'surface = "plane": the places of the phase do not span a plane',
-            remedy='give touches_mm three places that do not lie in a line, or use surface = "each"',
-        )
-    return tuple(place for place in dict.fromkeys(places_mm) if place in largest)
+    farthest = max(triples, key=spread_mm, default=())
+    return tuple(place for place in dict.fromkeys(places_mm) if place in farthest)
 
 
 def _hull(places_mm: list[tuple[float, float]]) -> list[tuple[float, float]]:
-    """The twelve places farthest out in twelve directions: the largest triangle has its corners far out."""
+    """The places farthest out in twelve directions: the widest triangle has its corners far out."""
     angles = [2 * math.pi * k / 12 for k in range(12)]
     farthest = (max(places_mm, key=lambda p: p[0] * math.cos(a) + p[1] * math.sin(a)) for a in angles)
     return list(dict.fromkeys(farthest)) if places_mm else []
-
-
-def _triangle_mm2(corners: Sequence[tuple[float, float]]) -> float:
-    (ax, ay), (bx, by), (cx, cy) = corners
-    return abs((bx - ax) * (cy - ay) - (cx - ax) * (by - ay)) / 2
 
 
 def find_surfaces(places_mm: Iterable[tuple[float, float]]) -> Iterator[Step]:

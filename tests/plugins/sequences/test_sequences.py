@@ -313,8 +313,11 @@ def test_where_an_earlier_phase_took_the_unloaded_frames_four_are_enough():
 
 @pytest.mark.parametrize("places", [[(0, 0)], [(0, 0), (20, 0)], [(0, 0), (20, 0.1), (30, 0)]])
 def test_places_in_a_line_span_no_plane(places):
-    with pytest.raises(ConfigError, match="do not span a plane"):
+    with pytest.raises(ConfigError, match="lie less than 5 mm from a line"):
         steps_of(LocationGridSequence(surface="plane", locations_mm=places))
+    if len(places) == 3:
+        with pytest.raises(ConfigError, match="lie less than 5 mm from a line"):
+            steps_of(LocationGridSequence(surface="plane", touches_mm=places))
 
 
 @given(
