@@ -143,7 +143,7 @@ def restore_recipe(content: Mapping[str, Any]) -> Recipe:
 
 def add_batch_model(configuration: Configuration, kept: KeptBatch) -> Configuration:
     """Return the configuration of a run that takes this batch as the prior of its sensor's map."""
-    model = json.loads(json.dumps(asdict(kept)))
+    model = asdict(kept)
     content = json.loads(configuration.canonical) | {_BATCH: model}
     return replace(configuration, recipe=_with_batch(configuration.recipe, model), canonical=canonical_json(content))
 
@@ -151,7 +151,7 @@ def add_batch_model(configuration: Configuration, kept: KeptBatch) -> Configurat
 def digest_batch_model(content: Mapping[str, Any]) -> str:
     """Return the SHA-256 of the content of a batch's model, but for what is stated of it in the content itself."""
     rest = {key: value for key, value in content.items() if key != "content_sha256"}
-    return content_digest(json.loads(json.dumps(rest)))
+    return content_digest(rest)
 
 
 def read_batch_model(content: Mapping[str, Any], where: str) -> KeptBatch:

@@ -29,6 +29,7 @@ TYPED = {
     "docs/how-to/stream-forces.md": "commands/test_stream.py",
     "docs/how-to/take-your-data-elsewhere.md": "commands/test_data_elsewhere.py",
     "docs/how-to/use-a-calibration.md": "commands/test_calibration_page.py",
+    "docs/how-to/test-more-sensors-an-hour.md": "commands/test_batch_page.py",
     "docs/how-to/verify-a-fielded-sensor.md": "commands/test_documentation.py",
     "docs/how-to/watch-a-station.md": "app/station_check/test_station_pages.py",
     "docs/how-to/what-to-do-when-it-stops.md": "commands/test_resume.py",
