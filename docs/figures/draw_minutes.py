@@ -13,10 +13,12 @@ from cbsr_qa.report.draw.style import BLUE, INK, VERMILION, canvas, dots, draw_s
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
 FIGURE: Final = PAGE.parent / "figures" / "frontier" / "minutes.svg"
-_TICKS: Final = tuple(digit * 10.0**power for power in range(-2, 4) for digit in (1, 2, 5))
+_TICKS: Final = (0.15, *(digit * 10.0**power for power in range(-1, 4) for digit in (1, 2, 5)))
 #: A row of the table: recipe, presses, minutes and force error with its standard error.
 _ROW: Final = re.compile(r"^\| ([^|]+) \| [^|]+ \| ([\d.]+)[^|]* \| ([\d.]+) ± ([\d.]+) \|$", re.MULTILINE)
 _COLOURS: Final = {"adaptive,": BLUE, "adaptive-batch": VERMILION}
+#: Of each row in order: where its name stands, and how it is aligned with the point.
+_PLACED: Final = (("middle", "right"), ("below", "left"), ("above", "left"), ("below", "center"), ("above", "center"))
 
 
 def read_rows(page: str) -> list[tuple[str, float, float, float]]:
@@ -31,13 +33,18 @@ def draw_minutes(rows: list[tuple[str, float, float, float]]) -> Canvas:
     axes = plot(figure, (0.1, 0.15, 0.86, 0.8), "force error [N]", x="minutes of the station per sensor", grid="both")
     axes.set_xscale("log")
     axes.set_yscale("log")
-    for name, minutes, error_N, stderr_N in rows:
+    for (name, minutes, error_N, stderr_N), (where, aligned) in zip(rows, _PLACED, strict=True):
         colour = next((colour for start, colour in _COLOURS.items() if name.startswith(start)), INK)
         dots(axes, [minutes], [error_N], colour, errors=[stderr_N])
-        axes.annotate(name, (minutes, error_N), xytext=(5, 4), textcoords="offset points", fontsize=7, color=colour)
+        height_N = error_N + {"above": stderr_N, "middle": 0.0, "below": -stderr_N}[where]
+        shift = (-6 if where == "middle" else 0, {"above": 3, "middle": 0, "below": -9}[where])
+        axes.annotate(
+            name, (minutes, height_N), xytext=shift, textcoords="offset points", ha=aligned, fontsize=7, color=colour
+        )
     for axis in (axes.xaxis, axes.yaxis):
         plain_ticks(axis, _TICKS)
-    axes.set_xlim(5, 1000)
+    axes.set_xlim(4, 600)
+    axes.set_ylim(0.1, 0.22)
     return figure
 
 
