@@ -32,8 +32,8 @@ def test_the_page_runs_as_printed(folder):
     assert "is common to the batch" in batch
     assert (folder / "batch.html").is_file()
     assert "chosen one by one; the target was reached" in run
+    (kept,) = (folder / "var" / "batches").glob("41-*.json")
     database = str(folder / "var" / "fleet-demo-batch" / "runs.db")
     found = json.loads(cbsr_qa(folder, "batch", "model", "--batch", "41", "--database", database, "--json").stdout)
     assert found["rho"]["low"] <= 0.9 <= found["rho"]["high"]
-    (kept,) = (folder / "var" / "batches").glob("41-*.json")
     assert json.loads(kept.read_text())["digest"] != found["digest"]  # a sensor more has passed since
