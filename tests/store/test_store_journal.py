@@ -129,7 +129,7 @@ def test_every_document_is_committed_before_the_call_returns(repository, path):
         journal(event)
         with sqlite3.connect(path) as other:  # another program, with a connection of its own
             tables = "run_states", "phases", "steps", "frame_blocks", "sample_blocks", "loads", "unloaded_marks"
-            tables = (*tables, "attendance")
+            tables = (*tables, "attendance", "decisions")
             seen.append(tuple(other.execute(f"select count(*) from {table}").fetchone()[0] for table in tables))
     # Each document but the ends of phases adds exactly one row somewhere.
     gained = [sum(after) - sum(before) for before, after in pairwise(seen)]
