@@ -23,7 +23,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.force import force_tests, learn_without_tests, long_holds
+from cbsr_qa.analysis.run.force import force_tests, learn_without_tests
+from cbsr_qa.analysis.run.long_holds import long_holds
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.batch.model import learn_batch
 from cbsr_qa.config.documents import DocumentKind

@@ -12,8 +12,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.force_kernels import StrengthTraces, Transients, ramp_s
-from cbsr_qa.analysis.run.loads import window_of
+from cbsr_qa.analysis.run.force_kernels import StrengthTraces, Transients, ramp_s, steady_s
 from cbsr_qa.calibration.fits.steady_state import predict_steady
 from cbsr_qa.calibration.force.learning import CalibrationLoads
 from cbsr_qa.calibration.force.templates import RESIDUE_SHARE
@@ -120,11 +119,6 @@ def _usable_transients(what: str, kernel: RelaxationKernel | None, loads: int | 
             remedy='hold some loads for 1.5 settling times, or set transients = "averaged" in the recipe',
         )
     return kernel
-
-
-def steady_s(run: RunObservation, load: LoadObservation) -> float:
-    """Time of the frames of a load's steady image, from the end of its ramp [s]."""
-    return float(window_of(run, load).steady.time_s.mean()) - load.record.hold_start_s
 
 
 def _predict_rows(

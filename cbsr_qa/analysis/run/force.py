@@ -3,21 +3,13 @@
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import compress
-from typing import Final
+from typing import TYPE_CHECKING, Final
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.run.compensation import (
-    LONG,
-    BorrowedKernels,
-    compensate_loads,
-    force_rises,
-    force_trace,
-    steady_s,
-)
 from cbsr_qa.analysis.run.estimates import model_scale, reading_variance
-from cbsr_qa.analysis.run.force_kernels import StrengthTraces, Transients, force_kernels, key_of
+from cbsr_qa.analysis.run.force_kernels import StrengthTraces, force_kernels, key_of, steady_s
 from cbsr_qa.analysis.run.loads import window_of
 from cbsr_qa.calibration.fits.common_relaxation import TimedValues
 from cbsr_qa.calibration.force.inverse import ForceInverse, map_tables
@@ -31,6 +23,9 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.calibration import ForceModel
 from cbsr_qa.domain.results.observation import LoadObservation, RunObservation
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
+
+if TYPE_CHECKING:
+    from cbsr_qa.analysis.run.compensation import BorrowedKernels
 
 #: Names of the tests of a load.
 HELD_OUT: Final = "held out"
@@ -142,54 +137,30 @@ def force_loads(run: RunObservation) -> tuple[tuple[LoadObservation, ...], Calib
     return of_run.loads, of_run.data
 
 
+def strength_traces(run: RunObservation) -> StrengthTraces:
+    """Strengths over time at the places of a run's loads.
+
+    Raise CbsrError if the run has no load with a force, or its noise cannot be estimated.
+    """
+    return run.derive(_RunForce).strengths()
+
+
 def hold_traces(run: RunObservation, loads: Sequence[LoadObservation]) -> list[TimedValues]:
     """Strengths under holds at the places of loads, from the start of each [s], without residues of earlier ones.
 
     Raise CbsrError if the run has no load with a force, or its noise cannot be estimated.
     """
-    strengths = run.derive(_RunForce).strengths()
+    strengths = strength_traces(run)
     return [strengths.change(load) for load in loads]
 
 
-def _choose_prior(run: RunObservation) -> tuple[MapLearner, BorrowedKernels | None]:
+def _choose_prior(run: RunObservation) -> tuple[MapLearner, "BorrowedKernels | None"]:
     """Return what learns the map, from the run's loads alone or with its batch, and the batch's kernels."""
     if run.settings.prior == "none":
         return learn_response, None
     from cbsr_qa.analysis.run.batch_prior import choose_batch_prior  # loads what few recipes need
 
     return choose_batch_prior(run.settings)
-
-
-@dataclass(frozen=True, slots=True, eq=False)
-class LongHolds:
-    """The longest holds of a run, which its kernels are learned from.
-
-    Parameters
-    ----------
-    hold_s, steady_s : how long they were held, and the time after the press at which they are evaluated.
-    rises, decays, forces : conductance under the hold and after it, and force; None without data.
-    """
-
-    hold_s: float
-    steady_s: float
-    rises: Transients
-    decays: Transients | None
-    forces: Transients | None
-
-
-def long_holds(run: RunObservation) -> LongHolds:
-    """Return the longest holds of a run. CbsrError if it has no load with a force, or no noise."""
-    of_run = run.derive(_RunForce)
-    longest_s = max(load.hold_s for load in of_run.loads)
-    loads = [load for load in of_run.loads if load.hold_s >= LONG * longest_s]
-    strengths = of_run.strengths()
-    return LongHolds(
-        longest_s,
-        float(np.mean([steady_s(run, load) for load in loads])),
-        strengths.rises(loads),
-        strengths.decays(loads),
-        force_rises(loads, [force_trace(run, load) for load in loads]),
-    )
 
 
 class _RunForce:
@@ -218,6 +189,8 @@ class _RunForce:
 
     def _compensate(self) -> None:
         """Extend short holds to the end of the longest ones; their loads get the force at that time."""
+        from cbsr_qa.analysis.run.compensation import compensate_loads  # loads what few recipes need
+
         done = compensate_loads(self.run, self.loads, self.data, self.strengths(), self.borrowed)
         self.data, self.at_s, self.predicted = done.data, done.at_s, done.predicted
         self.loads = tuple(

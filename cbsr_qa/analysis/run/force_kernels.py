@@ -182,6 +182,11 @@ class StrengthTraces:
         return self._filter.match_at(rows, self._places_mm[key_of(load)])
 
 
+def steady_s(run: RunObservation, load: LoadObservation) -> float:
+    """Time of the frames of a load's steady image, from the end of its ramp [s]."""
+    return float(window_of(run, load).steady.time_s.mean()) - load.record.hold_start_s
+
+
 def ramp_s(load: LoadObservation) -> float:
     """Return the time that the head moved in the sheet [s]: as long down as up."""
     return max(load.record.unloaded_s - load.record.release_start_s, 0.0)

@@ -2,7 +2,7 @@
 
 from dataclasses import dataclass, fields, replace
 from math import sqrt
-from typing import Final, Protocol
+from typing import TYPE_CHECKING, Final, Protocol
 
 import numpy as np
 
@@ -15,13 +15,15 @@ from cbsr_qa.calibration.force.templates import (
     make_even_model,
 )
 from cbsr_qa.calibration.sheet.baseline import predict_change
-from cbsr_qa.calibration.sheet.learned_map import LearnedMap
 from cbsr_qa.calibration.sheet.response_map import LARGEST_ERROR, intercept_column, learn_response
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import ForceModel
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
+
+if TYPE_CHECKING:
+    from cbsr_qa.calibration.sheet.learned_map import LearnedMap
 
 #: The predicted change must be this many of its own standard errors from zero, and so must the observed one.
 _CLEAR: Final = 3.0
@@ -77,7 +79,7 @@ class MapLearner(Protocol):
         radius_mm: float,
         bend: Array | None = None,
         bend_stderr: float = 1.0,
-    ) -> LearnedMap: ...
+    ) -> "LearnedMap": ...
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -97,7 +99,7 @@ class LearnedForce:
 
     model: ForceModel
     line: QuasiStatic
-    response: LearnedMap
+    response: "LearnedMap"
     refused: tuple[str, ...]
     ratio: Array
     ratio_stderr: Array

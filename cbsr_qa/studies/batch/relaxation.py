@@ -6,8 +6,8 @@ Sensors of a batch are of one material. That they relax differently is in the sc
 from collections.abc import Sequence
 
 from cbsr_qa.analysis.run.compensation import LONG
-from cbsr_qa.analysis.run.force import LongHolds
 from cbsr_qa.analysis.run.force_kernels import Transients
+from cbsr_qa.analysis.run.long_holds import LongHolds
 from cbsr_qa.calibration.batch.kept import keep_kernel
 from cbsr_qa.domain.plan.batch_model import KeptRelaxation
 

@@ -5,7 +5,8 @@ from functools import lru_cache
 
 import numpy as np
 
-from cbsr_qa.analysis.run.force import LongHolds, RunForce, learn_without_tests, long_holds
+from cbsr_qa.analysis.run.force import RunForce, learn_without_tests
+from cbsr_qa.analysis.run.long_holds import LongHolds, long_holds
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.batch.loads import SensorLoads
 from cbsr_qa.calibration.file.hdf5 import calibration_of
