@@ -6,7 +6,8 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.calibration.batch.loads import SensorLoads
-from cbsr_qa.calibration.batch.prior import BatchMap, BatchPrior, Likeness
+from cbsr_qa.calibration.batch.prior import BatchPrior, Likeness
+from cbsr_qa.calibration.batch.sensor_map import BatchMap
 from cbsr_qa.calibration.sheet.response_map import FEWEST, ResponseMap, learn_response
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array

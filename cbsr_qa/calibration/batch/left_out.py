@@ -10,7 +10,8 @@ from cbsr_qa.calibration.batch.likelihood import BatchLikelihood
 from cbsr_qa.calibration.batch.loads import BatchLoads
 from cbsr_qa.calibration.batch.model import BatchModel, thin
 from cbsr_qa.calibration.batch.posterior import Posterior, find_posterior
-from cbsr_qa.calibration.batch.prior import DRAWS, BatchMap, BatchPrior, Likeness
+from cbsr_qa.calibration.batch.prior import DRAWS, BatchPrior, Likeness
+from cbsr_qa.calibration.batch.sensor_map import BatchMap
 from cbsr_qa.domain.numbers import Array
 
 #: Members of a prior by the others, and draws of a test for each sensor of the batch.

@@ -12,7 +12,8 @@ from scipy import stats
 
 from cbsr_qa.calibration.batch.left_out import leave_each_out
 from cbsr_qa.calibration.batch.model import BatchModel, Share, learn_batch
-from cbsr_qa.calibration.batch.prior import BatchMap, Likeness
+from cbsr_qa.calibration.batch.prior import Likeness
+from cbsr_qa.calibration.batch.sensor_map import BatchMap
 from cbsr_qa.config.merging import canonical_json
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import CbsrError
