@@ -20,7 +20,7 @@ from benchmarks.force_sensors import NINE, RANDOM, Sensors, observed
 from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.run.loads import load_window
-from cbsr_qa.analysis.run.place_found import PlaceErrors, run_place
+from cbsr_qa.analysis.run.place import PlaceErrors, run_place
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.plan.limits import Outcome

@@ -7,7 +7,7 @@ from typing import Final
 from cbsr_qa.analysis.answers import validate_answer
 from cbsr_qa.analysis.run.force import run_force
 from cbsr_qa.analysis.run.observe import observe_run
-from cbsr_qa.analysis.run.place_found import run_place
+from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.calibration.force.validity import batch_words
 from cbsr_qa.calibration.issue import issue_calibration
 from cbsr_qa.domain.errors import CalibrationError, CbsrError, NumericsError

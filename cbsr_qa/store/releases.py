@@ -12,7 +12,7 @@ from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import row_of
 from cbsr_qa.store.odd_rows import RowsApart, read_rows_apart
 from cbsr_qa.store.outbox import Kind, announce
-from cbsr_qa.store.tables.gate import ReleaseRow
+from cbsr_qa.store.tables.records import ReleaseRow
 from cbsr_qa.store.types import time_of_id
 
 #: Stand-in for an unreadable identifier. It sorts after every identifier: such a row may be the latest.

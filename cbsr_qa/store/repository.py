@@ -22,8 +22,7 @@ from cbsr_qa.store.runs.journal import Journal
 from cbsr_qa.store.runs.outcomes import SensorRuns
 from cbsr_qa.store.runs.runs import Runs
 from cbsr_qa.store.stations import StationChecks
-from cbsr_qa.store.tables.gate import ReleaseRow
-from cbsr_qa.store.tables.records import ChartReferenceRow, StationCheckRow, VerdictOverrideRow
+from cbsr_qa.store.tables.records import ChartReferenceRow, ReleaseRow, StationCheckRow, VerdictOverrideRow
 from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
 from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, SampleBlockRow, SensorRow
 from cbsr_qa.store.types import IdSource, time_of_id

@@ -5,8 +5,7 @@ from textwrap import fill
 from typing import Final
 
 from cbsr_qa.store.schema import VERSION_TABLE
-from cbsr_qa.store.tables.gate import ReleaseRow
-from cbsr_qa.store.tables.records import ChartReferenceRow
+from cbsr_qa.store.tables.records import ChartReferenceRow, ReleaseRow
 from cbsr_qa.store.tables.results import AnalysisRow
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.tables.sync import OutboxRow

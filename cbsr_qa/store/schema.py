@@ -230,8 +230,7 @@ def _create(connection: Connection) -> None:
 
     They are the same as those that the migrations make, which is tested.
     """
-    from cbsr_qa.store.tables.gate import ReleaseRow
-    from cbsr_qa.store.tables.records import ChartReferenceRow
+    from cbsr_qa.store.tables.records import ChartReferenceRow, ReleaseRow
     from cbsr_qa.store.tables.results import AnalysisRow
     from cbsr_qa.store.tables.runs import Base, RunRow
     from cbsr_qa.store.tables.sync import SyncAcceptsRow

@@ -3,9 +3,7 @@
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Final
 
-from cbsr_qa.domain.errors import CbsrError
 from cbsr_qa.domain.results.learned_place import PlaceOfRun
-from cbsr_qa.domain.results.observation import RunObservation
 
 if TYPE_CHECKING:
     from cbsr_qa.calibration.place.learning import PlaceLearned
@@ -85,19 +83,3 @@ class RunPlace:
             return f"{sentence}: clearly nearer, so a calibration uses it"
         better = cv.gain_mm < -_CLEAR * cv.gain_stderr_mm
         return f"{sentence}: not used, the model is {'better' if better else 'as good'}"
-
-
-def run_place(run: RunObservation) -> RunPlace:
-    """Return what the loads that calibrate teach about place, if the recipe asks; it is cached with the run."""
-    return run.derive(_run_place)
-
-
-def _run_place(run: RunObservation) -> RunPlace:
-    if not run.settings.learn_place:
-        return RunPlace(None, "the recipe does not ask for it")
-    from cbsr_qa.analysis.run.place_learning import learn_and_compare  # few recipes ask for it
-
-    try:
-        return learn_and_compare(run)
-    except CbsrError as error:
-        return RunPlace(None, error.reason)

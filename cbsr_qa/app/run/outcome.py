@@ -9,7 +9,8 @@ from typing import Annotated, Final, Self
 
 from pydantic import Field, InstanceOf
 
-from cbsr_qa.analysis.run.place_found import PlaceErrors, run_place
+from cbsr_qa.analysis.run.place import run_place
+from cbsr_qa.analysis.run.place_found import PlaceErrors
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.limits import Bound, Outcome
 from cbsr_qa.domain.results.measurement import Measurement

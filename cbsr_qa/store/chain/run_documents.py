@@ -32,8 +32,7 @@ from sqlalchemy import (
 )
 
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.store.tables.gate import GateAnswerRow
-from cbsr_qa.store.tables.records import ConfigurationChangeRow, VerdictOverrideRow
+from cbsr_qa.store.tables.records import ConfigurationChangeRow, GateAnswerRow, VerdictOverrideRow
 from cbsr_qa.store.tables.results import (
     AdoptionRow,
     AnalysisRow,

@@ -10,7 +10,7 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.mapping import convert_row, row_of
-from cbsr_qa.store.tables.gate import GateAnswerRow
+from cbsr_qa.store.tables.records import GateAnswerRow
 from cbsr_qa.store.tables.runs import RunStateRow
 
 

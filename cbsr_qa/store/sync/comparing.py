@@ -18,8 +18,7 @@ from cbsr_qa.store.outbox import Kind, announce, note_confirmed
 from cbsr_qa.store.runs import begun
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, newest_link, read_parcel
 from cbsr_qa.store.sync.rows import counts_of
-from cbsr_qa.store.tables.gate import ReleaseRow
-from cbsr_qa.store.tables.records import ChartReferenceRow, LinkRow, StationCheckRow
+from cbsr_qa.store.tables.records import ChartReferenceRow, LinkRow, ReleaseRow, StationCheckRow
 from cbsr_qa.store.tables.runs import RunRow
 from cbsr_qa.store.tables.sync import OutboxRow
 from cbsr_qa.store.types import first_id

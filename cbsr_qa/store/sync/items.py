@@ -10,9 +10,9 @@ from cbsr_qa.store.chain.many_rows import row_texts
 from cbsr_qa.store.chain.run_documents import sha256
 from cbsr_qa.store.outbox import Kind
 from cbsr_qa.store.sync.rows import columns_of, raw_select
-from cbsr_qa.store.tables.gate import ReleaseRow
 from cbsr_qa.store.tables.records import (
     ChartReferenceRow,
+    ReleaseRow,
     StationCheckFramesRow,
     StationCheckLineRow,
     StationCheckRow,

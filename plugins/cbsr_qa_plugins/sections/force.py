@@ -15,7 +15,7 @@ from cbsr_qa.analysis.run.force_quality import (
     places_mm,
     tests_of,
 )
-from cbsr_qa.analysis.run.place_found import run_place
+from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.calibration.force.interpolation import interpolate
 from cbsr_qa.calibration.force.learning import LearnedForce
 from cbsr_qa.calibration.force.sheet_pose import SheetPose

@@ -10,7 +10,7 @@ from simulated_runs import observed_run, simulated_run
 from cbsr_qa.analysis.evaluate import Conclusion, calibrate_run
 from cbsr_qa.analysis.run.force import force_loads
 from cbsr_qa.analysis.run.loads import window_of
-from cbsr_qa.analysis.run.place_found import run_place
+from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.calibration.file.hdf5 import read_calibration, write_calibration
 from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.runtime.calibration import Calibration

@@ -21,6 +21,7 @@ from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.kept import as_filed
 from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.results.calibration import BatchUse
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 
 _DOCS = Path(__file__).parents[3] / "docs"
@@ -105,6 +106,7 @@ def test_every_dataset_is_on_the_page_with_its_unit_and_kind_and_no_other():
     said = {path: (units.strip(), kind.strip()) for path, optional, units, kind in rows if not optional}
     found = {}
     sample = replace(sample_calibration(), standards=(LOAD_CELL, INDENTER))
+    sample = replace(sample, force=replace(sample.force, batch=BatchUse("d" * 64, True, 0.4, 0.3)))
     filed = replace(sample, reconstruction=as_filed(sample.reconstruction))
     for path, entry in encode(filed).items():
         name = re.sub(r"^force/(un)?loading/", "force/<direction>/", path)
