@@ -264,10 +264,10 @@ from pathlib import Path
 import cbsr_qa.app.run.conclusion as conclusion
 
 real = conclusion.evaluate_run
-def evaluate_run(*arguments):
+def evaluate_run(*arguments, **options):
     shutil.rmtree({str(blocked)!r})
     Path({str(blocked)!r}).write_text("in the way")
-    return real(*arguments)
+    return real(*arguments, **options)
 conclusion.evaluate_run = evaluate_run
 from cbsr_qa.cli.main import run_guarded
 sys.exit(run_guarded(sys.argv[1:]))
