@@ -139,10 +139,10 @@ class ServedLine:
                 station += '\n[gate]\noperator = "refuse"\n\n[[gate.operators]]\nname = "Ada"\n'
                 station += f'pin = "{hash_pin(PIN)}"\n'
             (self.folder / f"{name}.toml").write_text(station)
-        for name, places, asks in (
-            ("five-places", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]], ""),
-            ("asking", [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0]], _ASKS),
-        ):
+        five_mm = [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]]
+        # More than a busy machine presses while a page is looked at.
+        eight_mm = [*five_mm, [15.0, 15.0], [-15.0, 15.0], [15.0, -15.0]]
+        for name, places, asks in (("five-places", five_mm, ""), ("asking", eight_mm, _ASKS)):
             recipe = _RECIPE.format(name=name, places=places, asks=asks, sections=FEW_SECTIONS)
             (self.folder / f"{name}.toml").write_text(recipe)
         site = self.folder / "site" / "asking-1.0.dist-info"
