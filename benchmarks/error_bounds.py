@@ -18,7 +18,7 @@ from cbsr_qa.calibration.force.expected_error import LoadErrors, LoadsThatMatter
 from cbsr_qa.calibration.sheet.response_map import learn_response
 from cbsr_qa.calibration.sheet.response_processes import compute_covariance
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.studies.frontier.setting import sunflower_mm
+from cbsr_qa.domain.readings.loads import sunflower_mm
 
 _RADIUS_MM: Final = 50.0
 _MATTER: Final = LoadsThatMatter(40.0, (0.05, 0.3))
@@ -67,7 +67,7 @@ FIELDS: Final[dict[str, Field]] = {
 def try_map(field: Field, count: int, seed: int) -> tuple[float, float, list[bool]]:
     """Return the true and the expected error of one map [N], and whether the true one is below each bound."""
     generator = np.random.default_rng(seed)
-    places, targets = np.array(sunflower_mm(count)), _MATTER.places_mm()
+    places, targets = np.array(sunflower_mm(count, 40.0)), _MATTER.places_mm()
     values = field(np.vstack([places, targets]), generator)
     seen = values[:count] + _NOISE * generator.standard_normal(count)
     response = learn_response(places, seen, np.full(count, _NOISE**2), radius_mm=_RADIUS_MM)

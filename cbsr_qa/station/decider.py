@@ -37,7 +37,7 @@ class RunDecider:
     ) -> None:
         self._decisions, self._plan, self._offset_s = decisions, plan, offset_s
         phases = () if earlier is None else earlier.phases
-        kept = (phase if phase.index in ended else _finished_part(phase) for phase in phases)
+        kept = (phase if phase.index in ended else _cut_unfinished(phase) for phase in phases)
         self._earlier = tuple(phase for phase in kept if phase is not None)
         stored = () if earlier is None else earlier.decisions
         self._stored = {(decided.phase, decided.pressed): decided for decided in stored}
@@ -88,7 +88,7 @@ class RunDecider:
         return replace(now, phases=tuple(by_index[index] for index in sorted(by_index)))
 
 
-def _finished_part(phase: PhaseRecord) -> PhaseRecord | None:
+def _cut_unfinished(phase: PhaseRecord) -> PhaseRecord | None:
     """Return what counts of a phase that is continued: all up to the end of its last finished press.
 
     What follows is repeated, as is a phase without a finished press.
@@ -114,11 +114,11 @@ def _join_phases(earlier: PhaseRecord, now: PhaseRecord) -> PhaseRecord:
         ended_s=now.ended_s,
         frames=join_frames(blocks) if blocks else None,
         samples=tuple(map(join_samples, samples)),
-        loads=_in_order(earlier.loads, now.loads),
-        loops=_in_order(earlier.loops, now.loops),
+        loads=_join_loads(earlier.loads, now.loads),
+        loops=_join_loads(earlier.loops, now.loops),
         unloaded_from_s=earlier.unloaded_from_s if now.unloaded_from_s is None else now.unloaded_from_s,
     )
 
 
-def _in_order(earlier: Sequence[LoadRecord], now: Sequence[LoadRecord]) -> tuple[LoadRecord, ...]:
+def _join_loads(earlier: Sequence[LoadRecord], now: Sequence[LoadRecord]) -> tuple[LoadRecord, ...]:
     return tuple(sorted((*earlier, *now), key=lambda load: load.index))

@@ -121,7 +121,7 @@ class PressDecisions:
         elif force is None or error is None or pressed < choice.goal.at_least:
             number, why = left[self._start(so_far, choice, choice.places_mm(left))], START
         else:
-            after_N = force.after_presses_N(choice.places_mm(left))
+            after_N = force.expect_after_presses_N(choice.places_mm(left))
             cost_s = choice.cost_s + self._travel_s(so_far, choice.places_mm(left))
             gain = (error.expected_N - after_N) / cost_s
             number = left[int(np.argmax(np.round(gain / np.abs(gain).max(), _DIGITS)))]

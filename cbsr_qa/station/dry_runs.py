@@ -69,19 +69,19 @@ class DryPhase:
     @property
     def duration_s(self) -> float:
         """Expected duration; of a phase that decides with its most presses [s]."""
-        return sum(self.durations_s[: len(counted_steps(self.scheduled))])
+        return sum(self.durations_s[: len(select_counted_steps(self.scheduled))])
 
     @property
     def presses(self) -> int:
         """Number of presses; of a phase that decides the most that are left."""
-        return sum(isinstance(scheduled.step, Press) for scheduled in counted_steps(self.scheduled))
+        return sum(isinstance(scheduled.step, Press) for scheduled in select_counted_steps(self.scheduled))
 
     def duration_with_s(self, presses: int) -> float:
         """Expected duration of a phase that decides with a number of presses, those of earlier sessions included."""
-        return sum(self.durations_s[: len(counted_steps(self.scheduled, presses))])
+        return sum(self.durations_s[: len(select_counted_steps(self.scheduled, presses))])
 
 
-def counted_steps(scheduled: ScheduledPhase, presses: int | None = None) -> tuple[ScheduledStep, ...]:
+def select_counted_steps(scheduled: ScheduledPhase, presses: int | None = None) -> tuple[ScheduledStep, ...]:
     """Return the steps that take time: all, but of a phase that decides those of its most presses, in listed order.
 
     Parameters
@@ -188,7 +188,7 @@ class _DryWalk:
     def phase(self, scheduled: ScheduledPhase) -> DryPhase:
         self.frames = 0
         self.clearance_mm = None
-        counted = counted_steps(scheduled)
+        counted = select_counted_steps(scheduled)
         durations_s = self._walk(scheduled, counted)
         if self.depth_mm is not None:
             self._note(f"phase {scheduled.name!r} ends with the head down")

@@ -71,7 +71,7 @@ def _forecast(plan: Plan, settings: AnalysisSettings, phase: int, choice: Choice
         choice.places_mm(list(choice.loads)),
         places_mm,
         goal.at_most,
-        pressed_mm=_pressed_before_mm(plan, settings, phase),
+        pressed_mm=_list_pressed_mm(plan, settings, phase),
         radius_mm=plan.sensor_type.radius_mm,
     )
     bound = gammaincinv(_FREEDOM / 2, goal.confidence) / (_FREEDOM / 2)
@@ -95,7 +95,7 @@ def _noise_N(plan: Plan, places_mm: Array, frames: int) -> float:
     return float(stress_kPa * plan.indenter.area_mm2 * 1e-3)
 
 
-def _pressed_before_mm(plan: Plan, settings: AnalysisSettings, phase: int) -> Array:
+def _list_pressed_mm(plan: Plan, settings: AnalysisSettings, phase: int) -> Array:
     """Places (p, 2) of presses of earlier phases that calibrate."""
     loads = [
         scheduled.step.load

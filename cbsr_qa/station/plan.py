@@ -90,12 +90,18 @@ class Spent:
         return sum(self._seconds.values())
 
 
+#: Steps without anything to say about them.
+_DESCRIPTIONS: Final[dict[type, str]] = {
+    Home: "homing",
+    Release: "releasing",
+    MarkUnloaded: "marking the sheet as rested",
+}
+
+
 def describe(step: Step) -> str:
     """Describe a step; an unknown type is named by its class."""
-    description = f"an unknown step ({type(step).__name__})"
+    description = _DESCRIPTIONS.get(type(step), f"an unknown step ({type(step).__name__})")
     match step:
-        case Home():
-            description = "homing"
         case FindSurface(x_mm=x_mm, y_mm=y_mm):
             description = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
         case Press(load=load):
@@ -106,13 +112,11 @@ def describe(step: Step) -> str:
             description = f"lowering the hover height to {clearance_mm:g} mm"
         case Hold() as hold:
             description = _describe_hold(hold)
-        case Release():
-            description = "releasing"
         case AcquireFrames(count=count):
             description = f"taking {count} frames"
         case Prompt(text=text):
             description = f"asking: {text}"
-    return "marking the sheet as rested" if isinstance(step, MarkUnloaded) else description
+    return description
 
 
 def _describe_hold(hold: Hold) -> str:

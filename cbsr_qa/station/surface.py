@@ -58,20 +58,20 @@ def fit_plane(depths_mm: dict[Place, float], tolerance_mm: float) -> Plane:
     """
     places = list(depths_mm)
     if spread_mm(places) < LEAST_SPREAD_MM:
-        raise _in_line(places)
+        raise _make_line_error(places)
     columns = np.column_stack([np.ones(len(places)), np.array(places)])
     depths = np.array(list(depths_mm.values()))
     level, along_x, along_y = np.linalg.lstsq(columns, depths)[0].tolist()
     plane = Plane(level, (along_x, along_y))
     if plane.tilt > _MOST_TILT:
-        raise _no_plane(
+        raise _make_plane_error(
             f"it is tilted by {100 * plane.tilt:.2g} mm over 100 mm; a stage is by {100 * _MOST_TILT:g} mm at most",
             "see that the sheet lies flat, and that no touch met its edge or a cable",
         )
     off_mm: Array = np.abs(columns @ [level, along_x, along_y] - depths)
     if off_mm.max() > tolerance_mm:
         x, y = places[int(off_mm.argmax())]
-        raise _no_plane(
+        raise _make_plane_error(
             f"the surface at ({x:g}, {y:g}) mm is {off_mm.max():.2g} mm off it; surface_tolerance_mm is"
             f" {tolerance_mm:g}",
             'press this sheet with surface = "each"',
@@ -164,7 +164,7 @@ class SheetSurface:
             If the places touched do not span a plane.
         """
         if self._touches and self._plane is None:
-            raise _in_line(self._touches)
+            raise _make_line_error(self._touches)
         if self._plane is not None and place_mm not in self._found:
             self._applicator.expect_surface(*place_mm, self._plane.depth_mm(place_mm))
 
@@ -201,10 +201,10 @@ class SheetSurface:
         return f"{where} met the sheet {abs(off_mm):.2f} mm {side} the plane: its surface is found again"
 
 
-def _in_line(places_mm: Sequence[Place]) -> InstrumentError:
+def _make_line_error(places_mm: Sequence[Place]) -> InstrumentError:
     where = ", ".join(f"({x:g}, {y:g})" for x, y in places_mm)
-    return _no_plane(f"the places {where} mm lie in a line", "touch three places that do not")
+    return _make_plane_error(f"the places {where} mm lie in a line", "touch three places that do not")
 
 
-def _no_plane(reason: str, remedy: str) -> InstrumentError:
+def _make_plane_error(reason: str, remedy: str) -> InstrumentError:
     return InstrumentError("force_applicator", "the sheet's surface", f"it is no plane: {reason}", remedy=remedy)

@@ -11,7 +11,7 @@ from killing import ADAPTIVE, BEGIN, UNEVEN, came_of, latest_run, trial, write_f
 from made_once import made_once
 
 from cbsr_qa.app.run.decisions import compare_decisions
-from cbsr_qa.app.run.outcome import _decided_facts
+from cbsr_qa.app.run.outcome import _describe_decisions
 from cbsr_qa.config.merging import restore
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.store.opening import open_store
@@ -67,7 +67,7 @@ def test_the_outcome_has_the_error_as_it_fell(whole):
     assert said["station_minutes"] == pytest.approx(said["station_s"] / 60, abs=1e-3)
     (end,) = said["decided"]
     assert (end["phase"], end["presses"], end["end"]) == ("chosen places", 7, "most presses")
-    ((_, ended), (_, fell)) = _decided_facts(came.record)
+    ((_, ended), (_, fell)) = _describe_decisions(came.record)
     assert ended.startswith("7 chosen one by one; no more presses were allowed: ")
     assert fell.count(" N at ") == len(known)
 

@@ -59,7 +59,7 @@ class ForceSoFar:
         errors = LoadErrors(
             lever_N=loads.lever_N(per_strain_N, learned.line, head),
             noise_N=_noise_N(learned, places_mm, run.settings.steady_frames, head),
-            shared=_shared_error(learned, relative, used),
+            shared=_estimate_shared_error(learned, relative, used),
         )
         return cls(force, learned.response, places_mm, errors, float(np.median(relative**2)))
 
@@ -67,7 +67,7 @@ class ForceSoFar:
         """Return the expected error of force, with its upper bound of a confidence."""
         return expect_force_error(self.response, self.places_mm, self.errors, confidence)
 
-    def after_presses_N(self, candidates_mm: Array) -> Array:
+    def expect_after_presses_N(self, candidates_mm: Array) -> Array:
         """Return the expected error (n,) after one more press at each candidate (n, 2) of the station [N]."""
         at_mm = self.force.sheet_pose.places_mm(candidates_mm)
         return expect_after_presses(self.response, at_mm, self.places_mm, self.errors, self.variance)
@@ -85,7 +85,7 @@ def _noise_N(learned: LearnedForce, places_mm: Array, frames: int, head: Indente
     return float(np.sqrt(np.mean(stress_kPa**2)) * head.area_mm2 * 1e-3)
 
 
-def _shared_error(learned: LearnedForce, relative: Array, used: Mask) -> float:
+def _estimate_shared_error(learned: LearnedForce, relative: Array, used: Mask) -> float:
     """Relative error that all forces share: none without predicted holds.
 
     That of the surest predicted hold is nearly all the kernel's, and each hold has the same.

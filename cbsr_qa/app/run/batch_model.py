@@ -4,9 +4,10 @@ from contextlib import nullcontext
 from pathlib import Path
 from typing import Final
 
+from cbsr_qa.calibration.batch.kept import make_prior
 from cbsr_qa.config.merging import Configuration, add_batch_model, read_batch_model
 from cbsr_qa.config.paths import batches_folder
-from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.errors import CalibrationError, ConfigError, RefusedError
 from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.opening import open_existing
@@ -43,12 +44,19 @@ def add_prior(configuration: Configuration, batch: str, file: Path | None, datab
     Raises
     ------
     RefusedError
-        If there is no model of the batch, or none that fits the run, or the batch has drifted since.
+        If there is no model of the batch, none fits the run, one of its numbers is impossible, or the batch has
+        drifted since.
     """
     fitting = _find_model(configuration, batch) if file is None else read_model_file(file)
     why = _explain_misfit(fitting, configuration, batch)
     if why:
         raise RefusedError(f"the batch's model {fitting.digest[:16]} {why}", remedy="learn one of this batch")
+    try:
+        make_prior(fitting)
+    except CalibrationError as error:
+        raise RefusedError(
+            f"the batch's model {fitting.digest[:16]} cannot be used: {error.reason}", remedy="learn it again"
+        ) from error
     _check_age(fitting, database)
     return add_batch_model(configuration, fitting)
 

@@ -281,7 +281,7 @@ class RunOutcome:
         return self.outcome.exit_code if self.end is EndReason.FINISHED and not unwritten else 3
 
 
-def _decided_facts(record: RunRecord) -> Iterator[tuple[str, str]]:
+def _describe_decisions(record: RunRecord) -> Iterator[tuple[str, str]]:
     """What was decided between presses, and the force error as it fell."""
     for made in record.decisions:
         if made.ends:
@@ -301,7 +301,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
         *([("Sensor", tries)] if tries else []),
         ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s to compute the result"),
-        *_decided_facts(result.record),
+        *_describe_decisions(result.record),
         ("Stored rows", tested.chain.words),
         *([("Gate", gate)] if (gate := gate_words(tested.gate)) else []),
     ]

@@ -13,7 +13,7 @@ from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
-from cbsr_qa.domain.plan.standards import dated_later, past_due
+from cbsr_qa.domain.plan.standards import is_dated_later, past_due
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
@@ -157,7 +157,7 @@ class _Look:
         for standard in self.configuration.station.standards:
             line = _check_due(f"standards.{standard.role}", standard.due, self.configuration.station, today)
             line = replace(line, said=f"{standard.words()}{line.said.removeprefix(f'due on {standard.due}')}")
-            if dated_later(standard.date, today):
+            if is_dated_later(standard.date, today):
                 outcome, policy = _judge_date(self.configuration.station, is_wrong=True)
                 said = f"{standard.words()}; dated {standard.date}, later than today, {today}; {policy}"
                 line = replace(line, outcome=outcome, said=said, remedy=CORRECT_DATE)

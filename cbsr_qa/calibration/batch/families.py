@@ -49,7 +49,7 @@ class Family:
     def covary(self, one: Array, other: Array, mutual: Array) -> Array:
         """Prior covariance (m, n, k) of the sensor's map at places of kernels (p, n) and (p, k)."""
         common = self.common[:, None, None]
-        by_level, other_by_level = self._left_to_level(one), self._left_to_level(other)
+        by_level, other_by_level = self._weigh_level(one), self._weigh_level(other)
         known = common**2 * (one.T @ self.precision @ other)
         level = self.mean_variance[:, None, None] * by_level[:, :, None] * other_by_level[:, None, :]
         covariance: Array = (common + self.own[:, None, None]) * mutual - known + level + self.level[:, None, None]
@@ -59,11 +59,11 @@ class Family:
         """Prior variance (m, n), the diagonal of ``covary``."""
         common = self.common[:, None]
         known = common**2 * ((self.precision @ kernel) * kernel).sum(axis=1)
-        level = self.mean_variance[:, None] * self._left_to_level(kernel) ** 2
+        level = self.mean_variance[:, None] * self._weigh_level(kernel) ** 2
         variance: Array = (common + self.own[:, None]) * mutual - known + level + self.level[:, None]
         return variance
 
-    def _left_to_level(self, kernel: Array) -> Array:
+    def _weigh_level(self, kernel: Array) -> Array:
         left: Array = 1 - self.common[:, None] * (self.precision.sum(axis=2) @ kernel)
         return left
 
@@ -75,7 +75,7 @@ class Family:
         """The family if the common level and map were exactly known; only its covariances are meaningful."""
         return replace(self, common=0 * self.common, mean_variance=0 * self.mean_variance)
 
-    def of_stranger(self) -> "Family":
+    def make_stranger(self) -> "Family":
         """The family of a sensor that has nothing in common with the batch but how its map varies."""
         return replace(
             self, own=self.own + self.common, common=0 * self.common, level=0 * self.level + _STRANGE_LEVEL**2

@@ -88,8 +88,8 @@ def thin(posterior: Posterior, members: int) -> tuple[tuple[Hyperparameters, ...
 def estimate_share(posterior: Posterior) -> Share:
     """Median and mean of ρ, and its interval.
 
-    The interval has Jeffreys' prior, by which it holds ρ as often as it says: both tails outside of it are alike,
-    unless zero is as likely as what a shortest interval ends at; it is the shortest then, from zero.
+    The interval is taken with Jeffreys' prior, and has equal tails. If the shortest interval begins at zero, that one
+    is taken. ``benchmarks/batch_rho.py`` measures how often it holds ρ.
     """
     matched = posterior.weights / np.sqrt(slope_of_share(posterior.share, posterior.sensors))
     shares, mass = _spread_mass(posterior, posterior.weights)

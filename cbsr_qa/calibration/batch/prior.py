@@ -131,7 +131,7 @@ class BatchPrior:
         draws : number; no p value is below 1/(draws + 1).
         """
         like = [condition_members(family, self.places_mm, loads) for family in self._families]
-        strange = [condition_members(family.of_stranger(), self.places_mm, loads) for family in self._families]
+        strange = [condition_members(family.make_stranger(), self.places_mm, loads) for family in self._families]
         values = np.column_stack([loads.log_response, self._draw_loads(like, draws)])
         evidence = _weigh_evidence(like, values) - _weigh_evidence(strange, values)
         further = np.count_nonzero(evidence[1:] <= evidence[0])

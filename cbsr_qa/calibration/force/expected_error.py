@@ -17,14 +17,12 @@ from scipy.special import gammainc
 
 from cbsr_qa.calibration.sheet.learned_map import LearnedMap
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.readings.loads import Indenter
+from cbsr_qa.domain.readings.loads import GOLDEN_TURN, Indenter
 from cbsr_qa.domain.sensor.sensor_type import QuasiStatic
 
 #: Places at which the map's error is averaged, and strains of a load.
 _PLACES: Final = 64
 _STRAINS: Final = 32
-#: Turns between neighbouring places, so that no two radii share an angle.
-_GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 #: Halvings of the interval that holds a quantile.
 _HALVINGS: Final = 60
 
@@ -45,7 +43,7 @@ class LoadsThatMatter:
     def places_mm(self) -> Array:
         """Places (t, 2) spread evenly over radius and angle."""
         number = np.arange(_PLACES)
-        radius, turn = self.radius_mm * (number + 0.5) / _PLACES, 2 * np.pi * _GOLDEN * number
+        radius, turn = self.radius_mm * (number + 0.5) / _PLACES, 2 * np.pi * GOLDEN_TURN * number
         return np.column_stack([radius * np.cos(turn), radius * np.sin(turn)])
 
     def lever_N(self, force_per_strain_N: float, line: QuasiStatic, head: Indenter) -> float:

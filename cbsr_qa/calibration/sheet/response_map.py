@@ -73,7 +73,7 @@ class ResponseMap:
     def predict_members(self, places_mm: Array) -> tuple[Array, Array]:
         """Means and variances (m, n) of each member at places (n, 2)."""
         means, variances = (np.empty((len(self.members), len(places_mm))) for _ in range(2))
-        for (smooth, length_mm), among, members in self._by_kernel():
+        for (smooth, length_mm), among, members in self._group_by_kernel():
             kernel = compute_covariance(self.places_mm, places_mm, length_mm, smooth)
             means[among], variances[among] = predict_processes(members, kernel)
         return means, variances
@@ -81,7 +81,7 @@ class ResponseMap:
     def covariance(self, places_mm: Array, others_mm: Array) -> Array:
         """Posterior covariance (m, n, t) of each member, of places (n, 2) with others (t, 2)."""
         covariances = np.empty((len(self.members), len(places_mm), len(others_mm)))
-        for (smooth, length_mm), among, members in self._by_kernel():
+        for (smooth, length_mm), among, members in self._group_by_kernel():
             to_places, to_others = (
                 compute_covariance(self.places_mm, mm, length_mm, smooth) for mm in (places_mm, others_mm)
             )
@@ -107,7 +107,7 @@ class ResponseMap:
         after = at_targets[:, None] - self.covariance(candidates_mm, targets_mm) ** 2 / observed[:, :, None]
         return np.maximum(after, 0.0)
 
-    def _by_kernel(self) -> Iterator[tuple[tuple[bool, float], list[int], list[Process]]]:
+    def _group_by_kernel(self) -> Iterator[tuple[tuple[bool, float], list[int], list[Process]]]:
         """Yield each kind and length of kernel with its members and their numbers."""
         kinds = [(member.smooth, member.length_mm) for member in self.members]
         for kind in dict.fromkeys(kinds):

@@ -75,7 +75,7 @@ def past_due(due: str | None, today: date) -> bool:
     return due is not None and date.fromisoformat(due) < today
 
 
-def dated_later(certificate_date: str, today: date) -> bool:
+def is_dated_later(certificate_date: str, today: date) -> bool:
     """Whether a certificate is dated after today, so that it cannot exist yet."""
     return date.fromisoformat(certificate_date) > today
 
@@ -86,6 +86,6 @@ def find_doubtful_dates(standards: Iterable[ReferenceStandard], today: date) -> 
         if past_due(standard.due, today):
             certified = f"the {standard.role_words} (certificate {standard.certificate})"
             yield f"the calibration of {certified} was due on {standard.due}"
-        if dated_later(standard.date, today):
+        if is_dated_later(standard.date, today):
             words = f"the certificate {standard.certificate} of the {standard.role_words} is dated {standard.date}"
             yield f"{words}, later than today, {today}"

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import Annotated, Self
+from typing import Annotated, Final, Self
 
 import numpy as np
 
@@ -159,6 +159,21 @@ class LoadRecord:
     def unloaded_s(self) -> float:
         """End of the unloading ramp: the head left the sheet, or is known to be up [s]."""
         return self.release_end_s if self.clear_s is None else self.clear_s
+
+
+#: Turns between neighbouring places of a sunflower: the golden angle.
+GOLDEN_TURN: Final = 2 - (1 + 5**0.5) / 2
+
+
+def sunflower_mm(count: int, radius_mm: float) -> tuple[tuple[float, float], ...]:
+    """Places spread evenly over a disc: the k-th of n at radius R √((k + ½)/n) and k golden angles, to 0.1 mm.
+
+    Each lies across the disc from the one before it, far from its residue.
+    """
+    number = np.arange(count)
+    radius, turn = radius_mm * np.sqrt((number + 0.5) / count), 2 * np.pi * GOLDEN_TURN * number
+    places = np.round(np.column_stack([radius * np.cos(turn), radius * np.sin(turn)]), 1) + 0.0  # no −0
+    return tuple((float(x), float(y)) for x, y in places)
 
 
 #: The nine locations of the paper's Fig 2, in the rig's order [mm].

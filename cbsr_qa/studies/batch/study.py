@@ -208,7 +208,7 @@ def study_batch(
 def _observe_runs(
     store: Repository, choice: BatchChoice, stage: Callable[[str], None], count: Callable[[int, int], None]
 ) -> tuple[list[StoredSensor], tuple[LeftOutRun, ...]]:
-    """Choose and image the runs; one that says nothing of the response is left out, with the reason."""
+    """Choose and image the runs; leave out those whose loads do not determine a response, with the reason."""
     stage("reading the runs")
     records, left_out = choose_runs(store, choice, count)
     stage("imaging")

@@ -4,10 +4,8 @@ from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any, Final
 
-import numpy as np
-
 from cbsr_qa.config.documents import DocumentKind
-from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
+from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, sunflower_mm
 from cbsr_qa.domain.results.dimensions import Dimensions
 from cbsr_qa.studies.frontier.point import Knob
 from cbsr_qa.studies.simulated import copy_shipped
@@ -20,8 +18,6 @@ START, GRID, CHECK, HELD_OUT = "noise figure", "calibration places", "random loa
 SUNFLOWER, FARTHEST, LEAST_SURE = "sunflower", "farthest first", "least sure first"
 #: Radius of every grid, 40 mm from the centre as in the paper.
 RADIUS_MM: Final = 40.0
-#: Turns between neighbouring seeds of a sunflower.
-_GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 _LONG_S: Final = 60.0
 _USUAL_FRAME_S: Final = 2.5
 #: Least rest around the random loads, which determine relaxation: residues would bias it.
@@ -103,7 +99,7 @@ class Setting:
         return self.choice == SUNFLOWER and self.frame_period_s == _USUAL_FRAME_S
 
     def locations_mm(self) -> tuple[tuple[float, float], ...]:
-        return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places)
+        return NINE_LOCATIONS_MM if self.places == len(NINE_LOCATIONS_MM) else sunflower_mm(self.places, RADIUS_MM)
 
     def recipe(self, name: str = "frontier") -> dict[str, Any]:
         """Return a recipe document; all that is not set here is as in the shipped recipe ``campaign``."""
@@ -180,15 +176,3 @@ def phase_of_test_loads(count: int) -> dict[str, Any]:
     """Return the phase of random loads used to test simulated sensors, pressed as in the base (and the paper)."""
     (check,) = (phase for phase in copy_shipped(DocumentKind.RECIPE, BASE)["phases"] if phase["name"] == CHECK)
     return {**check, "name": HELD_OUT, "stream": "held-out", "count": count, "initial_rest_s": 0.0}
-
-
-def sunflower_mm(count: int) -> tuple[tuple[float, float], ...]:
-    """Places spread evenly over the disc of 40 mm: the k-th at radius 40 mm √((k + ½)/n) and k golden angles.
-
-    Each lies across the sheet from the previous one, far from its residue.
-    """
-    number = np.arange(count)
-    radius = RADIUS_MM * np.sqrt((number + 0.5) / count)
-    turn = 2 * np.pi * _GOLDEN * number
-    places = np.round(np.column_stack([radius * np.cos(turn), radius * np.sin(turn)]), 1)
-    return tuple((float(x), float(y)) for x, y in places + 0.0)

@@ -191,7 +191,7 @@ class _Simulated:
         run = analyse_run(self._record, load_analysis(recipe))
         self._seen = {(setting.hold_s, setting.steady_frames): select_loads(run, lambda load: load.phase != HELD_OUT)}
         self._held_out = select_loads(run, lambda load: load.phase == HELD_OUT)
-        self.sooner_s = 0.0 if setting.drift is None else setting.first_rest_s - settled_after_s(self._record)
+        self.sooner_s = 0.0 if setting.drift is None else setting.first_rest_s - measure_settling_s(self._record)
 
     def errors(self, setting: Setting) -> tuple[Mapping[str, float], str]:
         """Errors of a setting by name, or why nothing could be learned."""
@@ -222,7 +222,7 @@ class _Simulated:
         return replace(self._seen[key], settings=analysis)
 
 
-def settled_after_s(record: RunRecord) -> float:
+def measure_settling_s(record: RunRecord) -> float:
     """Length of a first rest that ended when the sheet was stable: it is filled with frames [s]."""
     start = record.phase(START)
     assert start.frames is not None

@@ -33,13 +33,13 @@ class TimeAndAccuracy(RunSection):
         yield Paragraph(words)
         caption = "Time by activity, largest first. The cost of a test is its station time."
         yield Figure(caption, words, budget_figure(budgets))
-        yield from _decided(result)
+        yield from _draw_decisions(result)
         if result.observation is not None:
             run = result.observation
             yield from (_bought(result, run), *_map_bought(result, run), *_waiting(run))
 
 
-def _decided(result: RunResult) -> Iterator[Block]:
+def _draw_decisions(result: RunResult) -> Iterator[Block]:
     """The force error as it fell from press to press, if the run decided between presses."""
     record = result.record
     known = [made for made in record.decisions if made.expected_N is not None and made.upper_N is not None]

@@ -3,9 +3,9 @@
 from collections.abc import Iterator
 from typing import Annotated, Final
 
-import numpy as np
 from pydantic import AfterValidator, Field
 
+from cbsr_qa.domain.readings.loads import sunflower_mm
 from cbsr_qa.plugin import Array, Load, PressGoal, Problem, Role, SequenceContext, Step, WithOptions
 from cbsr_qa_plugins.sequences import parts
 from cbsr_qa_plugins.sequences.places import Radius
@@ -14,8 +14,6 @@ from cbsr_qa_plugins.sequences.places import Radius
 Places = Annotated[tuple[Annotated[tuple[parts.Coordinate, parts.Coordinate], Array], ...], Array]
 #: Fewest presses of a map.
 _FEWEST: Final = 3
-#: Turns between neighbouring seeds of a sunflower.
-_GOLDEN: Final = 2 - (1 + 5**0.5) / 2
 
 
 def _check_frames(count: int) -> int:
@@ -25,14 +23,6 @@ def _check_frames(count: int) -> int:
 
 
 FramesOrNone = Annotated[int, Field(ge=0, le=100_000), AfterValidator(_check_frames)]
-
-
-def sunflower_mm(count: int, radius_mm: float) -> tuple[tuple[float, float], ...]:
-    """Places spread evenly over a disc: the k-th of n at radius R √((k + ½)/n) and k golden angles, to 0.1 mm."""
-    number = np.arange(count)
-    radius, turn = radius_mm * np.sqrt((number + 0.5) / count), 2 * np.pi * _GOLDEN * number
-    places = np.round(np.column_stack([radius * np.cos(turn), radius * np.sin(turn)]), 1) + 0.0  # no −0
-    return tuple((float(x), float(y)) for x, y in places)
 
 
 class AdaptiveGridSequence(WithOptions):

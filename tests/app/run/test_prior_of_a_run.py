@@ -72,6 +72,13 @@ def test_a_model_that_does_not_fit_is_refused_before_anything_moves(batches, con
     assert words in refused.value.reason
 
 
+def test_a_model_with_impossible_numbers_is_refused_before_anything_moves(batches, configuration):
+    first, *others = keep_sample().sensors
+    batches(keep_sample(sensors=(replace(first, variance=tuple(-v for v in first.variance)), *others)))
+    with pytest.raises(RefusedError, match=r"cannot be used: a sensor of the batch has no load, or one whose place"):
+        add_prior(configuration, "41", None, DATABASE)
+
+
 def test_a_named_file_of_another_batch_is_refused(batches, configuration):
     path = batches(keep_sample())
     with pytest.raises(RefusedError, match="is of batch 41, and the run of 42"):

@@ -10,10 +10,11 @@ from hypothesis import given, strategies as st
 
 from cbsr_qa.config.documents import DocumentKind, open_document
 from cbsr_qa.config.text import toml_document
+from cbsr_qa.domain.readings.loads import sunflower_mm
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.setup import plan_of
-from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, phase_of_test_loads, sunflower_mm
+from cbsr_qa.studies.frontier.setting import GRID, RADIUS_MM, Setting, phase_of_test_loads
 from cbsr_qa.studies.frontier.station import (
     EVEN,
     PAPER,
@@ -105,7 +106,7 @@ def test_what_needs_more_presses_is_not_judged():
 
 @given(st.integers(1, 200))
 def test_a_sunflower_lies_in_its_disc_with_room_between(count):
-    places = np.array(sunflower_mm(count))
+    places = np.array(sunflower_mm(count, RADIUS_MM))
     assert places.shape == (count, 2)
     assert (np.hypot(*places.T) <= RADIUS_MM).all()
     apart = np.hypot(*(places[:, None] - places[None]).transpose(2, 0, 1))[~np.eye(count, dtype=bool)]
@@ -115,7 +116,7 @@ def test_a_sunflower_lies_in_its_disc_with_room_between(count):
 
 @given(st.integers(3, 60))
 def test_a_sunflower_is_as_dense_everywhere(count):
-    radius = np.hypot(*np.array(sunflower_mm(count)).T)
+    radius = np.hypot(*np.array(sunflower_mm(count, RADIUS_MM)).T)
     for share in (0.25, 0.5, 0.75):
         inside = (radius <= RADIUS_MM * np.sqrt(share)).sum()
         assert abs(inside - share * count) <= 1.0
@@ -123,7 +124,7 @@ def test_a_sunflower_is_as_dense_everywhere(count):
 
 def test_the_places_of_the_shipped_campaign_are_the_sunflower_of_thirty():
     (phase,) = [phase for phase in BASE["phases"] if phase["name"] == GRID]
-    assert [tuple(place) for place in phase["locations_mm"]] == list(sunflower_mm(30))
+    assert [tuple(place) for place in phase["locations_mm"]] == list(sunflower_mm(30, RADIUS_MM))
 
 
 def test_held_out_loads_are_drawn_by_themselves():

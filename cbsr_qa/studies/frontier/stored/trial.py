@@ -144,8 +144,8 @@ def read_design(record: RunRecord, settings: AnalysisSettings) -> Design:
             f" the rest takes more than {FEWEST} places and {FEWEST_TESTS} random loads",
             remedy="choose runs of a recipe such as nine-locations or campaign",
         )
-    hold_s = round(float(np.median([held_s(load) for load in loads])), 1)
-    longest_s = round(max(held_s(load) for phase in record.phases for load in phase.loads), 1)
+    hold_s = round(float(np.median([measure_hold_s(load) for load in loads])), 1)
+    longest_s = round(max(measure_hold_s(load) for phase in record.phases for load in phase.loads), 1)
     return Design(places, hold_s, settings.transients == "predicted", longest_s)
 
 
@@ -195,7 +195,7 @@ def try_ways(
             error_N, why = _measure_error(run, tests, way, design, learn), ""
         except CbsrError as refusal:
             error_N, why = None, refusal.reason
-        station_s = record.station_s - left_out_s(record, settings, way, design)
+        station_s = record.station_s - measure_left_out_s(record, settings, way, design)
         identity = record.identity
         trials.append(StoredTrial(identity.sensor.serial, identity.run, way, error_N, station_s, why))
     return trials
@@ -215,7 +215,7 @@ def _measure_error(run: RunObservation, tests: RunObservation, way: Way, design:
     return float(np.sqrt(np.mean(np.square(errors))))
 
 
-def left_out_s(record: RunRecord, settings: AnalysisSettings, way: Way, design: Design) -> float:
+def measure_left_out_s(record: RunRecord, settings: AnalysisSettings, way: Way, design: Design) -> float:
     """Station time that a way leaves out: whole cycles of places, and ends of holds [s].
 
     Finding the surface is not counted: when it was done, a run does not say.
@@ -228,11 +228,11 @@ def left_out_s(record: RunRecord, settings: AnalysisSettings, way: Way, design: 
             if (load.load.x_mm, load.load.y_mm) not in kept:
                 total_s += load.rest_end_s - began_s
             else:
-                total_s += max(held_s(load) - way.hold_s, 0.0)
+                total_s += max(measure_hold_s(load) - way.hold_s, 0.0)
     return total_s
 
 
-def held_s(load: LoadRecord) -> float:
+def measure_hold_s(load: LoadRecord) -> float:
     """Time that a load was held [s]."""
     return load.release_start_s - load.hold_start_s
 

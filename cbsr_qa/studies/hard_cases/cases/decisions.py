@@ -27,7 +27,7 @@ _TARGETS: Final[Array] = np.array([[3.0, -4.0], [20.0, -10.0], [33.0, 21.0]])
 _NOISE: Final = 1e-4
 
 
-def after_press(places_mm: Array, candidate_mm: Array, noise: float = _NOISE) -> Answer:
+def check_variance_after(places_mm: Array, candidate_mm: Array, noise: float = _NOISE) -> Answer:
     """Variance at some places after one more press, by the likeliest process, against the map that has the press."""
     values = 0.1 * np.sin(places_mm[:, 0] / 20) + 0.05 * np.cos(places_mm[:, 1] / 15)
     variance = np.full(len(values), noise)
@@ -54,25 +54,25 @@ def target(target_N: float) -> None:
 @AREA.against(_PRESSED)
 def press_where_one_was_pressed() -> Answer:
     """A place that was pressed before: the new press says the same again."""
-    return after_press(NINE, NINE[4])
+    return check_variance_after(NINE, NINE[4])
 
 
 @AREA.against(_PRESSED)
 def press_a_nanometre_beside_another() -> Answer:
     """Two places that nearly coincide: the covariance of both is singular but for the noise."""
-    return after_press(NINE, NINE[4] + [1e-6, 0.0])
+    return check_variance_after(NINE, NINE[4] + [1e-6, 0.0])
 
 
 @AREA.against(_PRESSED)
 def press_after_fifty_at_one_place() -> Answer:
     """One place pressed fifty times, eight others once: all but the mean of the fifty is redundant."""
-    return after_press(np.vstack([NINE, np.tile(NINE[0], (49, 1))]), NINE[0])
+    return check_variance_after(np.vstack([NINE, np.tile(NINE[0], (49, 1))]), NINE[0])
 
 
 @AREA.against(_PRESSED)
 def press_without_noise() -> Answer:
     """Loads without noise: one more at the same place leaves a variance that is the difference of equal numbers."""
-    return after_press(NINE, np.array([10.0, 12.0]), noise=0.0)
+    return check_variance_after(NINE, np.array([10.0, 12.0]), noise=0.0)
 
 
 @AREA.refuses(ConfigError)

@@ -21,7 +21,7 @@ from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.studies.frontier.recommend import Target
 from cbsr_qa.studies.frontier.setting import GRID, Setting
 from cbsr_qa.studies.frontier.stored.study import CHANGE, FORCE, choose_way, write_stored_recipe
-from cbsr_qa.studies.frontier.stored.trial import Design, StoredTrial, Way, left_out_s, read_design, try_ways
+from cbsr_qa.studies.frontier.stored.trial import Design, StoredTrial, Way, measure_left_out_s, read_design, try_ways
 from cbsr_qa.studies.frontier.trial import select_loads
 from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
 
@@ -86,10 +86,10 @@ def test_what_is_left_out_takes_the_time_of_its_cycles_and_holds():
     record, _, settings = six()
     design = read_design(record, settings)
     grid = record.phase(GRID)
-    assert left_out_s(record, settings, design.whole, design) == pytest.approx(0, abs=1e-6)
-    shorter = left_out_s(record, settings, replace(design.whole, hold_s=15.0), design)
+    assert measure_left_out_s(record, settings, design.whole, design) == pytest.approx(0, abs=1e-6)
+    shorter = measure_left_out_s(record, settings, replace(design.whole, hold_s=15.0), design)
     assert shorter == pytest.approx(6 * 10.0, abs=0.1)
-    fewer = left_out_s(record, settings, replace(design.whole, places=3), design)
+    fewer = measure_left_out_s(record, settings, replace(design.whole, places=3), design)
     whole_s = grid.loads[-1].rest_end_s - grid.loads[0].press_start_s
     assert fewer == pytest.approx(whole_s / 2, rel=0.2)
 
