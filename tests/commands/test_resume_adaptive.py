@@ -16,7 +16,7 @@ from cbsr_qa.config.merging import restore
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.live_run import LiveRun
-from cbsr_qa_plugins.sections.time_and_accuracy import _decided
+from cbsr_qa_plugins.sections.time_and_accuracy import _draw_decisions
 
 
 @pytest.fixture(scope="module")
@@ -73,7 +73,7 @@ def test_the_outcome_has_the_error_as_it_fell(whole):
 
 
 def test_the_report_draws_the_error_as_it_fell(whole):
-    figure, words = _decided(SimpleNamespace(record=whole[1].record))
+    figure, words = _draw_decisions(SimpleNamespace(record=whole[1].record))
     assert "<svg" in figure.svg
     assert words.text.startswith("After 7 presses of 'chosen places' no more presses were allowed: ")
 
