@@ -23,7 +23,7 @@ _LEFT_OUT: Final = "{count} left out: {runs}"
 _WIDE: Final = "the interval is wide: more sensors, rather than more presses, narrow it"
 _WIDE_FROM: Final = 0.5
 _READING: Final = (
-    "The response of each sensor is a common map, a map of its own and a level. ρ is the share of the maps' variance"
+    "The response of each sensor is a common map, its own map and a level. ρ is the share of the maps' variance"
     " that two sensors have in common: 0 if sensors of the batch differ as much as those of other batches, 1 if they"
     " are identical. Its interval has a confidence of 95 %.",
     'The odds weigh "like the others" against "of another batch"; p is the probability that a sensor like the'
