@@ -18,9 +18,9 @@ from cbsr_qa.plugin.discovery import Plugins
 
 _OF_A_RUN = (DocumentKind.STATION, DocumentKind.RECIPE, DocumentKind.SENSOR_TYPE, DocumentKind.MATERIAL)
 
-#: Version of the document's layout, and of that of a batch's model in it.
+#: Version of the document's layout, and of that of a batch's model in it (before 2 its rough maps were smoother).
 LAYOUT = 1
-BATCH_LAYOUT = 1
+BATCH_LAYOUT = 2
 _BATCH = "batch_model"
 #: Parts of the document that determine how a run is analysed.
 RECIPE_KEYS = ("recipe", _BATCH)

@@ -6,8 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.batch.loads import ROUNDING, SensorLoads
-from cbsr_qa.calibration.sheet.response_processes import compute_covariance
+from cbsr_qa.calibration.batch.loads import ROUNDING, SensorLoads, correlate_places
 from cbsr_qa.domain.numbers import Array, Mask
 
 #: Deviation of the level of a sensor that is not of the batch. Chosen by us.
@@ -39,7 +38,7 @@ class Family:
     mean_variance: Array
 
     def correlate(self, one_mm: Array, other_mm: Array) -> Array:
-        return compute_covariance(one_mm, other_mm, self.length_mm, self.smooth)
+        return correlate_places(one_mm, other_mm, self.length_mm, self.smooth)
 
     def expect(self, kernel: Array) -> Array:
         """Mean (m, n) of μ + c at places whose correlations with those of the batch are ``kernel`` (p, n)."""

@@ -33,7 +33,7 @@ class Hyperparameters:
 
     Parameters
     ----------
-    smooth : True for a Gaussian covariance; False for Matérn 5/2.
+    smooth : True for a Gaussian covariance; False for Matérn 3/2.
     scatter : relative scatter of single loads beyond their noise.
     own, common : deviations ϖ and ω of the maps of single sensors, and of the map they have in common.
     level : deviation τ of the sensors' levels.

@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.sheet.response_map import find_places
-from cbsr_qa.calibration.sheet.response_processes import CombinedLoads, combine_loads, compute_covariance
+from cbsr_qa.calibration.sheet.response_processes import CombinedLoads, combine_loads, measure_distances
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 
@@ -85,7 +85,23 @@ class BatchLoads:
 
     def _factor(self, smooth: bool, length_mm: float) -> tuple[Array, Array]:
         """Return the correlations K (p, p) of the places, and L (p, r) with K = L Lᵀ but for rounding."""
-        alike = compute_covariance(self.places_mm, self.places_mm, length_mm, smooth)
+        alike = correlate_places(self.places_mm, self.places_mm, length_mm, smooth)
         values, vectors = np.linalg.eigh(alike)
         kept = values > _NEGLIGIBLE * values[-1]
         return alike, vectors[:, kept] * np.sqrt(values[kept])
+
+
+def correlate_places(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
+    """Correlation (p, n) of maps at places (p, 2) and (n, 2): Gaussian if smooth, else Matérn 3/2.
+
+    Single sheets have Matérn 5/2 instead. A batch presses the same places again and again, so that nothing but the
+    roughness that is assumed says how far the map may turn between them: with 3/2 the intervals of maps with a step
+    hold as often as they state.
+    """
+    distance = measure_distances(one_mm, other_mm) / length_mm
+    if smooth:
+        gaussian: Array = np.exp(-(distance**2) / 2)
+        return gaussian
+    scaled_distance = np.sqrt(3) * distance
+    matern: Array = (1 + scaled_distance) * np.exp(-scaled_distance)
+    return matern

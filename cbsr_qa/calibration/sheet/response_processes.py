@@ -205,10 +205,16 @@ def _log_root(roots: Array) -> Array:
 
 def compute_covariance(one_mm: Array, other_mm: Array, length_mm: float, smooth: bool) -> Array:
     """Covariance (p, n) of places (p, 2) and (n, 2), of unit deviation: Gaussian if smooth, else Matérn 5/2."""
-    distance = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2)) / length_mm
+    distance = measure_distances(one_mm, other_mm) / length_mm
     if smooth:
         gaussian: Array = np.exp(-(distance**2) / 2)
         return gaussian
     scaled_distance = np.sqrt(5) * distance
     matern: Array = (1 + scaled_distance + scaled_distance**2 / 3) * np.exp(-scaled_distance)
     return matern
+
+
+def measure_distances(one_mm: Array, other_mm: Array) -> Array:
+    """Distances (p, n) of places (p, 2) from places (n, 2)."""
+    distances: Array = np.sqrt(((one_mm[:, None] - other_mm[None]) ** 2).sum(axis=2))
+    return distances

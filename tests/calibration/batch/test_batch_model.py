@@ -7,11 +7,11 @@ import pytest
 
 from cbsr_qa.calibration.batch.left_out import leave_each_out
 from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
-from cbsr_qa.calibration.batch.loads import BatchLoads, SensorLoads
+from cbsr_qa.calibration.batch.loads import BatchLoads, SensorLoads, correlate_places
 from cbsr_qa.calibration.batch.model import learn_batch
 from cbsr_qa.calibration.batch.prior import BatchPrior
 from cbsr_qa.calibration.sheet.response_map import learn_response
-from cbsr_qa.calibration.sheet.response_processes import combine_loads, compute_covariance, condition_family
+from cbsr_qa.calibration.sheet.response_processes import combine_loads, condition_family
 from cbsr_qa.domain.errors import CalibrationError
 from tests.samples.batches import RADIUS_MM, draw_batch, draw_field, draw_map, place_sunflower, press
 
@@ -46,7 +46,7 @@ def dense(choice, sensors, there_mm=THERE_MM[:0]):
     of_load = np.repeat(np.arange(len(sensors)), [len(sensor.log_response) for sensor in sensors])
     of = np.concatenate([of_load, np.full(len(there_mm), len(sensors) - 1)])
     every = np.concatenate([*(sensor.places_mm for sensor in sensors), there_mm])
-    alike = compute_covariance(every, every, choice.length_mm, choice.smooth)
+    alike = correlate_places(every, every, choice.length_mm, choice.smooth)
     covariance = choice.common**2 * alike + (of[:, None] == of) * (choice.own**2 * alike + choice.level**2)
     count = len(of_load)
     noise = np.concatenate([sensor.variance for sensor in sensors]) + choice.scatter**2 + ROUNDING
@@ -131,7 +131,7 @@ def test_one_sensor_is_weighed_as_its_own_map_is(sensors, smooth):
         for scatter in (0.005, 0.02)
     }
     places = np.unique(sensor.places_mm, axis=0)
-    family = condition_family(data, compute_covariance(places, places, length_mm, smooth), smooth, length_mm)
+    family = condition_family(data, correlate_places(places, places, length_mm, smooth), smooth, length_mm)
     deviations = np.array([0.01, 0.02, 0.035, 0.06, 0.1, 0.15, 0.22, 0.32, 0.45])
     prior = np.log(deviations) - np.log1p((deviations / 0.2) ** 2)
     known = family.score - prior[:, None] + np.array([0.005, 0.02]) / 0.02

@@ -8,10 +8,9 @@ import numpy as np
 from mpmath import mp
 
 from cbsr_qa.calibration.batch.likelihood import BatchLikelihood, Hyperparameters
-from cbsr_qa.calibration.batch.loads import ROUNDING, BatchLoads, SensorLoads
+from cbsr_qa.calibration.batch.loads import ROUNDING, BatchLoads, SensorLoads, correlate_places
 from cbsr_qa.calibration.batch.model import learn_batch
 from cbsr_qa.calibration.batch.prior import BatchPrior
-from cbsr_qa.calibration.sheet.response_processes import compute_covariance
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM
@@ -52,7 +51,7 @@ def _exact_covariance(choice: Hyperparameters, sensors: Sequence[SensorLoads]) -
     every = np.concatenate([*(sensor.places_mm for sensor in sensors), _THERE_MM])
     counts = [len(sensor.variance) for sensor in sensors]
     of = np.repeat(np.arange(len(sensors)), [*counts[:-1], counts[-1] + len(_THERE_MM)])
-    alike = compute_covariance(every, every, choice.length_mm, choice.smooth)
+    alike = correlate_places(every, every, choice.length_mm, choice.smooth)
     noise = [*np.concatenate([sensor.variance for sensor in sensors]).tolist(), *[None] * len(_THERE_MM)]
     with mp.workdps(DIGITS):
         common, own, level = mp.mpf(choice.common) ** 2, mp.mpf(choice.own) ** 2, mp.mpf(choice.level) ** 2
