@@ -25,11 +25,15 @@ _EitherFile = Annotated[Path, typer.Argument(help="Calibration file, .h5 or .jso
     prints="cbsr_qa.app.calibration.shown:ShownCalibration|cbsr_qa.app.calibration.presses_shown:ShownPressCalibration",
     reads="cbsr_qa.app.calibration.page",
 )
-def show(file: _File, as_json: AsJson = False) -> None:
-    """Print the contents of a calibration: identity, range of use, baseline conductance, assumptions."""
+def show(
+    file: _File,
+    every_field: Annotated[bool, typer.Option("--all", help="Print every field, not only what it does.")] = False,
+    as_json: AsJson = False,
+) -> None:
+    """Print what a calibrated sensor does, how well, and what was assumed; with --all every field of its file."""
     from cbsr_qa.app.calibration.page import show_calibration
 
-    show_outcome(show_calibration(file), as_json=as_json)
+    show_outcome(show_calibration(file, every_field=every_field), as_json=as_json)
 
 
 @command(

@@ -18,6 +18,13 @@ def report(
     to: Annotated[
         Path | None, typer.Option("--to", metavar="FOLDER", help="Folder to write to; by default var/reports.")
     ] = None,
+    annex: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="all|none|NAME",
+            help="Annexes to print; may be repeated. By default those that the recipe names are there, folded.",
+        ),
+    ] = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
@@ -28,7 +35,8 @@ def report(
     """
     from cbsr_qa.app.run.render import render_outcome, render_stored
 
-    raise typer.Exit(show(render_outcome(render_stored(run, database=database, folder=to)), as_json=as_json))
+    rendered = render_stored(run, database=database, folder=to, annexes=annex or ())
+    raise typer.Exit(show(render_outcome(rendered), as_json=as_json))
 
 
 group("verdict", "Override verdicts.")

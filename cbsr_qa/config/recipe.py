@@ -149,9 +149,10 @@ class CharacterisationTable(Table):
 
 
 class ReportTable(Table):
-    """``[report]``: sections in order; none named means every installed one."""
+    """``[report]``: annexes in order, none named means every installed one; and those of a sensor that passed."""
 
     sections: list[Name] = Field(default_factory=list)
+    annexes_if_passed: list[Name] | None = None
 
 
 #: Sequence option that names an image file next to the recipe.
@@ -213,10 +214,11 @@ class RecipeFile(FileModel[Recipe]):
         for name, options in metrics.items() if isinstance(metrics, Mapping) else ():
             if isinstance(options, Mapping):
                 yield Choice(Kind.METRIC, name, ("metrics", name), options)
-        sections = report.get("sections") if isinstance(report, Mapping) else None
-        for index, name in enumerate(sections if isinstance(sections, list) else ()):
-            if isinstance(name, str):
-                yield Choice(Kind.SECTION, name, ("report", "sections", index))
+        for key in ("sections", "annexes_if_passed"):
+            names = report.get(key) if isinstance(report, Mapping) else None
+            for index, name in enumerate(names if isinstance(names, list) else ()):
+                if isinstance(name, str):
+                    yield Choice(Kind.SECTION, name, ("report", key, index))
 
     @classmethod
     def plugin_problems(cls, data: Any, plugins: Plugins) -> Iterator[Problem]:
@@ -282,7 +284,7 @@ class RecipeFile(FileModel[Recipe]):
             yield Problem(("recipe", "calibrate_phases"), finding)
 
     def to_domain(self) -> Recipe:
-        table = self.reconstruction
+        table, annexes_if_passed = self.reconstruction, self.report.annexes_if_passed
         reconstruction = NO_RECONSTRUCTION if table is None else PluginChoice(table.method, table.options)
         return Recipe(
             name=self.recipe.name,
@@ -294,6 +296,7 @@ class RecipeFile(FileModel[Recipe]):
             limits=tuple(limit.to_domain() for limit in self.limits),
             calibrate_phases=tuple(self.recipe.calibrate_phases),
             sections=tuple(self.report.sections),
+            annexes_if_passed=None if annexes_if_passed is None else tuple(annexes_if_passed),
             limits_version=None if self.limits_version is None else self.limits_version.to_domain(),
             characterisation=None if self.characterisation is None else self.characterisation.to_domain(),
         )

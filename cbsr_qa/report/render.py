@@ -38,10 +38,13 @@ class _Shown:
     anchor: str
     title: str
     blocks: tuple[tuple[str, Any], ...]
+    leaf: int | None = None
 
 
-def render_run(result: RunResult, sections: Sequence[ReportSection], *, warnings: Sequence[str] = ()) -> str:
-    """Render a run's report: the same input gives the same bytes.
+def render_run(
+    result: RunResult, sections: Sequence[ReportSection], *, warnings: Sequence[str] = (), opened: bool = False
+) -> str:
+    """Render a run's report, its leading pages and its annexes: the same input gives the same bytes.
 
     Parameters
     ----------
@@ -49,19 +52,26 @@ def render_run(result: RunResult, sections: Sequence[ReportSection], *, warnings
     sections : sections in the order they are printed. One that raises, or returns what cannot be shown safely, is
         replaced by a warning with its name and takes nothing else down.
     warnings : other things that went wrong before, e.g. a section plugin that could not be loaded.
+    opened : whether annexes are open, so that they are printed; folded ones are not.
 
     Returns
     -------
     One HTML document without scripts, that loads nothing, with all text escaped.
     """
-    return _render(run_page(result), result, sections, warnings)
+    failed: list[str] = []
+    shown = tuple(_render_each(sections, result, failed))
+    leading = sorted((section for section in shown if section.leaf), key=lambda section: section.leaf or 0)
+    annexes = [section for section in shown if section.leaf is None]
+    return _page(run_page(result), leading, (*warnings, *failed), annexes, opened=opened)
 
 
 def render_recording(
     result: RecordingResult, sections: Sequence[ReportSection], *, warnings: Sequence[str] = ()
 ) -> str:
     """Render a recording's report; see :func:`render_run`."""
-    return _render(recording_page(result), result, sections, warnings)
+    failed: list[str] = []
+    shown = tuple(_render_each(sections, result, failed))
+    return _page(recording_page(result), shown, (*warnings, *failed))
 
 
 def render_sections(page: Page, sections: Sequence[Section]) -> str:
@@ -148,21 +158,22 @@ def report_name(*parts: str) -> str:
     return "-".join(part for part in safe if part) + ".html"
 
 
-def _render(
-    page: Page, result: RunResult | RecordingResult, sections: Sequence[ReportSection], warnings: Sequence[str]
+def _page(
+    page: Page,
+    shown: Sequence[_Shown],
+    warnings: Sequence[str],
+    annexes: Sequence[_Shown] = (),
+    *,
+    opened: bool = False,
 ) -> str:
-    failed: list[str] = []
-    rendered = tuple(_render_each(sections, result, failed))
-    return _page(page, rendered, (*warnings, *failed))
-
-
-def _page(page: Page, shown: Sequence[_Shown], warnings: Sequence[str]) -> str:
     return (
         _environment()
         .get_template(_TEMPLATE)
         .render(
             page=page,
             sections=shown,
+            annexes=annexes,
+            opened=opened,
             warnings=(*page.warnings, *warnings),
             style=Markup(_style(_STYLE)),
             anchors=True,
@@ -208,7 +219,7 @@ def _section_shown(section: ReportSection, result: RunResult | RecordingResult, 
 
 
 def _prepare(section: Section, anchor: str) -> _Shown:
-    return _Shown(anchor, section.title, tuple(_block(block) for block in section.blocks))
+    return _Shown(anchor, section.title, tuple(_block(block) for block in section.blocks), section.leaf)
 
 
 def _block(block: Block) -> tuple[str, Any]:

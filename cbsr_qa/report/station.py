@@ -1,6 +1,6 @@
-"""Texts of reports and pages about a station: its latest check, and its control charts."""
+"""Texts of reports and pages about a station: its checks before a run, its latest own check, its control charts."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from datetime import datetime
 from typing import Final
 
@@ -8,6 +8,7 @@ from cbsr_qa.domain.numbers import prefix_kind
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.charts import StationCharts
 from cbsr_qa.domain.results.report import Block, Cell, Paragraph, Table
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.report.tables import plural, quantity, text_table
 
@@ -108,3 +109,48 @@ def chart_blocks(charts: StationCharts | None) -> tuple[Block, ...]:
             )
         )
     return (*blocks, *(Paragraph(f"{note}.", "note") for note in charts.notes))
+
+
+_GATE_CELLS: Final = {
+    GateOutcome.PASSED: Outcome.PASS,
+    GateOutcome.WARNED: Outcome.MARGINAL,
+    GateOutcome.OVERRIDDEN: Outcome.MARGINAL,
+    GateOutcome.REFUSED: Outcome.FAIL,
+    GateOutcome.OFF: Outcome.NOT_JUDGED,
+}
+_NOTED: Final = (GateOutcome.WARNED, GateOutcome.OVERRIDDEN, GateOutcome.REFUSED)
+
+
+def gate_table(caption: str, answers: Iterable[GateAnswer]) -> Table:
+    """Return answers of the gate, one a row."""
+    rows = []
+    for answer in answers:
+        outcome = Cell(str(answer.outcome), _GATE_CELLS[answer.outcome])
+        rows.append((str(answer.check), str(answer.policy), outcome, answer.sentence))
+    return text_table(caption, ("Check", "Policy", "Outcome", "Finding"), rows)
+
+
+def gate_words(answers: Sequence[GateAnswer]) -> str:
+    """Say which checks did not pass, of how many: ``5 checks; retest overridden: …``; empty if all passed."""
+    asked_checks = [answer for answer in answers if answer.outcome is not GateOutcome.OFF]
+    noted = [
+        f"{answer.check} {answer.outcome}: {answer.sentence}" for answer in asked_checks if answer.outcome in _NOTED
+    ]
+    return "; ".join([plural(len(asked_checks), "check"), *noted]) if noted else ""
+
+
+def gate_blocks(answers: Sequence[GateAnswer]) -> tuple[Block, ...]:
+    """Show the answers before the run and at each resumption; nothing for a run without answers."""
+    if not answers:
+        return ()
+    blocks: list[Block] = [
+        Paragraph(f"Before the run, {answer.check} was {answer.outcome}: {answer.sentence}.", "warning")
+        for answer in answers
+        if answer.outcome in _NOTED
+    ]
+    for session in sorted({answer.session for answer in answers}):
+        session_answers = [answer for answer in answers if answer.session == session]
+        caption = "Checks before the run." if session == 0 else f"Asked again before resumption {session} of the run."
+        table = gate_table(caption, session_answers)
+        blocks.append(Table(table.caption, table.columns, table.rows, folded=True))
+    return tuple(blocks)

@@ -119,6 +119,8 @@ BUILT_IN: Final[tuple[tuple[Kind, str, str], ...]] = (
     (Kind.RECORDING, "smu-rig-csv", "recordings.smu_rig_csv:SmuRigCsv"),
     (Kind.RECORDING, "eidors-mat", "recordings.eidors_mat:EidorsMat"),
     (Kind.RECORDING, "ds-tank-text", "recordings.ds_tank_text:DsTankText"),
+    (Kind.SECTION, "decision", "sections.limits:Decision"),
+    (Kind.SECTION, "overview", "sections.loads:Overview"),
     (Kind.SECTION, "characterisation", "sections.characterisation:MaterialCharacterisation"),
     (Kind.SECTION, "nine-locations", "sections.locations:NineLocations"),
     (Kind.SECTION, "load-estimates", "sections.loads:LoadEstimates"),

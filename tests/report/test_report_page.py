@@ -18,7 +18,7 @@ from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.report import Cell, Figure, Paragraph, Section, Table
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.heads import recording_page, run_page
-from cbsr_qa.report.render import render_recording, render_run, report_name, write_report
+from cbsr_qa.report.render import render_recording, render_run, render_sections, report_name, write_report
 from cbsr_qa_plugins.sections.limits import Limits
 from cbsr_qa_plugins.sections.locations import NineLocations
 from cbsr_qa_plugins.sections.traceability import Traceability
@@ -169,6 +169,8 @@ def test_a_folded_table_unfolds_without_a_script_and_says_how_long_it_is(result)
     )
     page = Structure(html)
     assert [tag for tag, _ in page.elements if tag in ("details", "summary", "table", "caption")] == [
+        "details",  # the annex
+        "summary",
         "details",
         "summary",
         "table",
@@ -180,7 +182,8 @@ def test_a_folded_table_unfolds_without_a_script_and_says_how_long_it_is(result)
 
 
 def test_every_entry_of_the_contents_leads_somewhere(result):
-    page = Structure(render_run(result, [NineLocations(), Limits(), Traceability()]))
+    sections = [section.render(result) for section in (NineLocations(), Limits(), Traceability())]
+    page = Structure(render_sections(run_page(result), sections))
     anchors = {a["id"] for _, a in page.elements if "id" in a}
     links = [a["href"][1:] for tag, a in page.elements if tag == "a"]
     assert len(links) == 3

@@ -32,7 +32,7 @@ from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import Reconstruction, RecordingFormat
 from cbsr_qa.report.render import render_recording, report_name, write_report
-from cbsr_qa.report.section import report_sections
+from cbsr_qa.report.section import load_sections
 from cbsr_qa.system.words import echo
 
 #: Called with each step, in words.
@@ -224,7 +224,7 @@ def _report(
 ) -> tuple[Path | None, list[str]]:
     if not request.report:
         return None, []
-    sections, warnings = report_sections((), plugins)
+    sections, warnings = load_sections((), plugins)
     file = reports_folder() / report_name(path.stem, result.recording.dataset, digest_request(path, request))
     write_report(file, render_recording(result, sections, warnings=warnings))
     return file, warnings

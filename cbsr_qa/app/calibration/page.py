@@ -21,13 +21,21 @@ from cbsr_qa.store.types import time_of_id
 _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "standards/", "validity/")
 
 
-def show_calibration(path: Path) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
-    """Return the contents of a calibration file. Raise CalibrationError if it is damaged or altered."""
+def show_calibration(
+    path: Path, *, every_field: bool = False
+) -> CommandOutcome[ShownCalibration] | CommandOutcome[ShownPressCalibration]:
+    """Return the contents of a calibration file. Raise CalibrationError if it is damaged or altered.
+
+    Parameters
+    ----------
+    every_field : whether the page of a sensor tested on a station lists all fields, not only what the sensor does.
+    """
     verified, calibration = read_in_child(path, partial(_verify_and_read, path))
     if isinstance(calibration, PressCalibration):
         return press_calibration_outcome(path, calibration)
     shown = ShownCalibration.from_calibration(path, verified, calibration)
-    return CommandOutcome(shown, _page(shown), tuple(_sections(shown)))
+    does = _texts("What it does", iter((*shown.abilities, *_limitations(shown))))
+    return CommandOutcome(shown, _page(shown), (does, *(_sections(shown) if every_field else ())))
 
 
 def _verify_and_read(path: Path) -> tuple[VerifiedFile, Issued]:
@@ -63,6 +71,11 @@ def _texts(title: str, lines: Iterator[str]) -> Section:
     return Section(title, tuple(map(Paragraph, lines)))
 
 
+def _limitations(shown: ShownCalibration) -> Iterator[str]:
+    yield from (f"Reduced: {reason}." for reason in shown.validity.reduced)
+    yield f"Assumed, not measured on this sensor: {', '.join(shown.assumed) or 'nothing'}."
+
+
 def _validity(shown: ShownCalibration) -> Iterator[str]:
     validity = shown.validity
     yield f"force: {_range(validity.force_N, 'N')}"
@@ -70,8 +83,6 @@ def _validity(shown: ShownCalibration) -> Iterator[str]:
     yield f"temperature: {_range(validity.temperature_C, '°C')}"
     yield f"place: within {validity.radius_mm:.3g} mm of the centre"
     yield f"head: {validity.indenter}"
-    yield from (f"reduced: {reason}" for reason in validity.reduced)
-    yield f"assumed, not measured on this sensor: {', '.join(shown.assumed) or 'nothing'}"
 
 
 def _range(ends: tuple[float, float] | None, unit: str) -> str:

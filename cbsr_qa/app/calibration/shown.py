@@ -3,15 +3,14 @@
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Any, Final, Self
+from typing import Final, Self
 
 import numpy as np
 
+from cbsr_qa.calibration.abilities import ForceAbility, describe_abilities
 from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry
 from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.force.interpolation import interpolate
-from cbsr_qa.calibration.force.inverse import ForceInverse, least_force_N, map_tables
-from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.standards import ReferenceStandard, describe_force_error
 from cbsr_qa.domain.results.calibration import (
@@ -25,8 +24,6 @@ from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: Largest number of values of an array that is shown.
 _MOST_SHOWN: Final = 8
-
-_Array = np.ndarray[Any, np.dtype[np.float64]]
 
 
 @dataclass(frozen=True, slots=True)
@@ -169,12 +166,10 @@ class ShownForceModel:
 
     @classmethod
     def from_model(cls, calibration: Calibration, model: ForceModel) -> Self:
-        places = _places(calibration, model)
+        ability = ForceAbility.from_calibration(calibration, model)
+        places, least_N = ability.places_mm, ability.least_N
         response = np.exp(interpolate(model, model.log_response, places))
         stderr = interpolate(model, model.log_response_stderr, places)
-        # Force at each place whose change in one frame is just detected as a load.
-        inverse = ForceInverse(model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(model))
-        least_N = least_force_N(inverse, np.linalg.norm(TemplateFilter(model).template(places), axis=1), places)
         worst_place = int(np.argmax(least_N))
         return fill_from_object(
             cls,
@@ -202,6 +197,7 @@ class ShownCalibration:
     ----------
     digest, record_digest : SHA-256 of the file's content, and of the part kept in the database.
     values : every field of the file by its path, as named in its field table (``Calibration``).
+    abilities : what the sensor does, in sentences.
     force_error : what standard errors of force include.
     """
 
@@ -211,6 +207,7 @@ class ShownCalibration:
     schema_version: int
     identity: CalibratedSensor
     simulated: tuple[str, ...]
+    abilities: tuple[str, ...]
     validity: RangeOfUse
     baseline_conductance: tuple[BaselineConductance, ...]
     against_stress: ShownLine
@@ -236,6 +233,7 @@ class ShownCalibration:
                 CalibratedSensor, held.sensor, calibration=held.calibration, run=held.run, issued_at=held.issued_at
             ),
             simulated=held.simulated,
+            abilities=tuple(describe_abilities(held)),
             validity=fill_from_object(
                 RangeOfUse, held.validity, indenter_diameter_mm=head.diameter_mm, indenter=head.words()
             ),
@@ -250,12 +248,3 @@ class ShownCalibration:
             force_error=describe_force_error(held.standards),
             standards=held.standards,
         )
-
-
-def _places(calibration: Calibration, model: ForceModel) -> _Array:
-    """Return the lattice nodes within the calibrated radius; all if there are none."""
-    lattice_mm, node = model.lattice.places_mm(), model.node.ravel()
-    fits_mask = np.where(node >= 0, model.fits[node], False)
-    fits_mask &= np.isfinite(TemplateFilter(model).template(lattice_mm)).all(axis=1)
-    near_mask = fits_mask & (np.hypot(*lattice_mm.T) <= calibration.validity.radius_mm)
-    return lattice_mm[near_mask if near_mask.any() else fits_mask]

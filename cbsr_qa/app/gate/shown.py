@@ -7,7 +7,7 @@ from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.report.document import Refusal
-from cbsr_qa.report.gate import gate_table
+from cbsr_qa.report.station import gate_table
 
 
 @dataclass(frozen=True, slots=True)

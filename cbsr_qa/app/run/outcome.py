@@ -21,8 +21,8 @@ from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.run import ChainState, PressDecided, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.document import ChosenParameter
-from cbsr_qa.report.gate import gate_words
 from cbsr_qa.report.heads import run_page
+from cbsr_qa.report.station import gate_words
 
 #: Most points of a force error that a terminal lists as it fell.
 _MOST_POINTS: Final = 8

@@ -12,7 +12,7 @@ from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.report.render import render_run, report_name, write_report
-from cbsr_qa.report.section import report_sections
+from cbsr_qa.report.section import Annexes, load_sections
 from cbsr_qa.system.clock import Stages
 
 _AGAIN = "cbsr-qa report writes it again once there is room"
@@ -32,7 +32,8 @@ def write_outputs(
         plugins.tell("cbsr_calibration_issued", failures.append, calibration=result.calibration)
     material = _material(result, failures)
     report = reports_folder() / report_name(identity.sensor.serial, identity.run)
-    sections, missing_sections = report_sections(recipe.sections, plugins)
+    annexes = Annexes.from_recipe(recipe, result.verdict.outcome)
+    sections, missing_sections = load_sections(annexes.list_sections(plugins), plugins)
     html = ""
     with stages.stage("rendering the report"):
         html = render_run(result, sections, warnings=(*missing_sections, *failures))

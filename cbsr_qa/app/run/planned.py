@@ -14,7 +14,7 @@ from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Section
 from cbsr_qa.domain.run.changes import SensorHistory
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome, gate_warnings
 from cbsr_qa.report.document import Refusal
-from cbsr_qa.report.gate import gate_table
+from cbsr_qa.report.station import gate_table
 from cbsr_qa.report.tables import duration, plural, text_table
 from cbsr_qa.station.dry_runs import DryRun
 

@@ -46,7 +46,7 @@ def check_recipe(recipe: Recipe, sensor_type: SensorType, plugins: Plugins) -> N
         Naming the recipe, what is wrong in it, and what is allowed.
     """
     try:
-        for name in recipe.sections:
+        for name in (*recipe.sections, *(recipe.annexes_if_passed or ())):
             plugins.factory(Kind.SECTION, name)
         if recipe.characterisation is not None:
             from cbsr_qa.eit.loads.bodies import check_strip  # other recipes press no strip

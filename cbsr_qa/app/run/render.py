@@ -36,7 +36,7 @@ from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.report.heads import run_page
 from cbsr_qa.report.render import render_run, report_name, write_report
-from cbsr_qa.report.section import report_sections
+from cbsr_qa.report.section import Annexes, load_sections
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
@@ -58,7 +58,13 @@ class Rendered:
     result: Annotated[InstanceOf[RunResult], Field(exclude=True)]
 
 
-def render_stored(run_or_serial: str, *, database: str | None = None, folder: Path | None = None) -> Rendered:
+def render_stored(
+    run_or_serial: str,
+    *,
+    database: str | None = None,
+    folder: Path | None = None,
+    annexes: Sequence[str] = (),
+) -> Rendered:
     """Render the report of a stored run again, and write its calibration and material files if they are gone.
 
     Parameters
@@ -66,27 +72,31 @@ def render_stored(run_or_serial: str, *, database: str | None = None, folder: Pa
     run_or_serial : a run, or a serial number for its latest run.
     database : URL or path; None for ``CBSR_QA_DATABASE`` or the default.
     folder : folder to write to; None for the reports folder in ``var/``.
+    annexes : names of the sections that are printed as annexes, or ``all`` or ``none``; by default those that the
+        recipe names are there, folded.
 
     Raises
     ------
     StoreError
         If database, run or sensor does not exist, or the run was altered.
     RefusedError
-        If the folder cannot be written to; nothing was written then.
+        If the folder cannot be written to, or an annex does not exist; nothing was written then.
     """
     plugins = discover()
+    asked = Annexes.from_request(annexes, plugins) if annexes else None
     with open_store(database_url(database), create=False) as store:
         run = store.runs.resolve(run_or_serial)
-        result, names = rebuilt(run, store, plugins)
+        result, recipe = rebuilt(run, store, plugins)
     path = calibration_path(result.record.identity)
     if result.calibration is not None and not path.exists():
         write_calibration(path, result.calibration)
     if not why_no_material(result) and not material_path(result).exists():
         write_material(result)
-    return render_result(result, names, plugins, folder or reports_folder())
+    wanted = asked or Annexes.from_recipe(recipe, result.verdict.outcome)
+    return render_result(result, wanted, plugins, folder or reports_folder())
 
 
-def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins, folder: Path) -> Rendered:
+def render_result(result: RunResult, annexes: Annexes, plugins: Plugins, folder: Path) -> Rendered:
     """Render one run's report to ``<serial>-<run>.html``, the name the run itself gave it.
 
     Raises
@@ -95,9 +105,9 @@ def render_result(result: RunResult, sections: tuple[str, ...], plugins: Plugins
         If the folder cannot be written to; nothing was written then.
     """
     identity = result.record.identity
-    loaded_sections, missing_sections = report_sections(sections, plugins)
+    loaded_sections, missing_sections = load_sections(annexes.list_sections(plugins), plugins)
     path = folder / report_name(identity.sensor.serial, identity.run)
-    write_report(path, render_run(result, loaded_sections, warnings=missing_sections))
+    write_report(path, render_run(result, loaded_sections, warnings=missing_sections, opened=annexes.opened))
     return Rendered(
         identity.run,
         identity.sensor.serial,
@@ -148,9 +158,7 @@ def outcome_of_stored(run: str, store: Repository, plugins: Plugins) -> RunOutco
     )
 
 
-def rebuilt(
-    run: str, store: Repository, plugins: Plugins, *, imaged: bool = True
-) -> tuple[RunResult, tuple[str, ...]]:
+def rebuilt(run: str, store: Repository, plugins: Plugins, *, imaged: bool = True) -> tuple[RunResult, Recipe]:
     """Rebuild the result of a stored run.
 
     Measurements, verdict and calibration are those of the latest stored analysis; images are computed again from the
@@ -163,7 +171,7 @@ def rebuilt(
 
     Returns
     -------
-    The result, and the sections its recipe names.
+    The result, and the recipe that judged it.
     """
     record, analyses = store.runs.load(run), store.analyses.load(run)
     stored = next(iter(analyses), None)
@@ -173,9 +181,7 @@ def rebuilt(
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     if stored is None:
         without_result = _describe_unanalysed(record, resume_command(run, store))
-        return replace(
-            without_result, station_check=check, history=history, sensor_history=sensor_history
-        ), recipe.sections
+        return replace(without_result, station_check=check, history=history, sensor_history=sensor_history), recipe
     check_decided(record, stored, recipe.limits)
     observation, characterisation, no_images_reason = _analyse_frames(record, recipe, plugins if imaged else None)
     calibration, unreadable_reason = _calibration(store, stored)
@@ -207,7 +213,7 @@ def rebuilt(
         overrides=store.changes.list_overrides(run),
         sensor_history=sensor_history,
     )
-    return result, recipe.sections
+    return result, recipe
 
 
 def _analyse_frames(

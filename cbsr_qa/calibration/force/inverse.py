@@ -171,6 +171,13 @@ class ForceInverse:
         by_readings = (slope @ matches.covariance @ slope.transpose(0, 2, 1))[:, 0, 0]
         return newtons.force, np.sqrt(np.maximum(by_readings, 0.0) + newtons.variance)
 
+    def strength(self, force_N: Array, places_mm: Array) -> Array:
+        """Strengths (n,) that forces (n,) [N] have at places (n, 2), the inverse of :meth:`newtons`."""
+        response = np.exp(interpolate(self.model, self.tables, places_mm)[:, 0])
+        relative = self.line.slope.value * force_N / self.area_mm2 * 1e3 + self.line.intercept.value
+        strength: Array = 2 * relative * response / (2 + relative * response)
+        return strength
+
     def newtons(self, matches: Matches) -> Newtons:
         """Forces (n,). A strength near 2 or above, which is unphysical, counts as a force far above any range."""
         model, strength = self.model, np.minimum(matches.strength, _STRONGEST)

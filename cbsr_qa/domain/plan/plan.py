@@ -221,7 +221,8 @@ class Recipe:
 
     Parameters
     ----------
-    sections : report sections in order; empty for every installed one.
+    sections : annexes of the report in order; empty for every installed section.
+    annexes_if_passed : annexes of the report of a sensor that passed; None for the same.
     calibrate_phases : names of the phases whose loads calibrate.
     limits_version : version of those limits that carry one; may be None.
     characterisation : settings by which press cycles on a strip become a material's parameters; None for recipes that
@@ -236,6 +237,7 @@ class Recipe:
     limits: tuple[Limit, ...]
     calibrate_phases: tuple[str, ...]
     sections: tuple[str, ...] = ()
+    annexes_if_passed: tuple[str, ...] | None = None
     limits_version: LimitsVersion | None = None
     characterisation: CharacterisationSettings | None = None
 

@@ -65,11 +65,13 @@ class Section:
     Parameters
     ----------
     page_only : explains what the reader of a page cannot ask; a terminal does not show it.
+    leaf : number of the leading page of a run's report that it stands on; None in the annex.
     """
 
     title: str
     blocks: tuple[Block, ...]
     page_only: bool = False
+    leaf: int | None = None
 
 
 @dataclass(frozen=True, slots=True)

@@ -74,6 +74,21 @@ def force_figure(panels: Sequence[ForcePanel], flat: ForcePanel | None) -> Canva
     return figure
 
 
+@draw_svg
+def force_overview_figure(panel: ForcePanel) -> Canvas:
+    """Draw estimated against measured force, and beside it the errors with bands of one and two stated errors."""
+    figure = canvas(2.6)
+    values = (panel.measured_N, panel.estimated_N, panel.missed_N)
+    largest = 1.06 * max([float(part.max()) for part in values if len(part)] + [1e-6])
+    labels = {"x": "measured force [N]", "y": "estimated force [N]"}
+    left_axes = plot(figure, (0.075, 0.175, 0.4, 0.77), grid="both", **labels)
+    right_axes = plot(figure, (0.59, 0.175, 0.4, 0.77), x=labels["x"], y="estimated − measured [N]")
+    _draw_estimates(left_axes, panel, largest)
+    left_axes.tick_params(labelbottom=True)
+    _draw_errors(right_axes, panel, None, largest, _reach_N([panel], None))
+    return figure
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class RatioPoints:
     """Measured over predicted change of the loads of a calibration.

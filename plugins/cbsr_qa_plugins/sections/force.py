@@ -23,7 +23,13 @@ from cbsr_qa.calibration.force.validity import batch_words, prediction_words
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.standards import describe_force_error
 from cbsr_qa.plugin import Block, Cell, Figure, Paragraph, RunObservation, RunResult
-from cbsr_qa.report.draw.force import ForcePanel, RatioPoints, force_figure, ratio_figure
+from cbsr_qa.report.draw.force import (
+    ForcePanel,
+    RatioPoints,
+    force_figure,
+    force_overview_figure,
+    ratio_figure,
+)
 from cbsr_qa.report.draw.maps import SheetField, force_map_figure
 from cbsr_qa.report.section import ObservedSection
 from cbsr_qa.report.tables import (
@@ -221,6 +227,22 @@ def _scatter(force: RunForce, tests: Sequence[ForceTest]) -> list[Block]:
             force_figure(panels, faint),
         )
     ]
+
+
+def draw_known_places(run: RunObservation) -> Figure | None:
+    """Draw estimated against measured force of the loads that a run's force was not learned from, places known."""
+    force = run_force(run)
+    shown = [test for test in force.tests if test.how == HELD_OUT]
+    if force.learned is None or not shown:
+        return None
+    tests = tests_of(run, force, HELD_OUT)
+    panel = _panel("", shown, {id(test) for test in tests}, errors_of(shown, known=True))
+    return Figure(
+        f"Estimated against measured force of {plural(len(shown), 'load')} that the force was not learned from, and"
+        " the errors with bands of one and two stated standard errors.",
+        " ".join(_describe_tests(tests)),
+        force_overview_figure(panel),
+    )
 
 
 def _panel(title: str, tests: Sequence[ForceTest], sampled: set[int], errors: ForceErrors) -> ForcePanel:

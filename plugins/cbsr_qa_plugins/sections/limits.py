@@ -1,9 +1,10 @@
-"""Every limit with its value, margin and outcome, and every other measurement."""
+"""What decides: the limits that were not met, and what the sensor does; then every limit and measurement."""
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Final
 
+from cbsr_qa.calibration.abilities import describe_abilities
 from cbsr_qa.plugin import (
     SEVERITY,
     Block,
@@ -22,15 +23,62 @@ from cbsr_qa.report.draw.images import verdict_figure
 from cbsr_qa.report.location_verdicts import SIGNS, location_verdicts, outcome_counts, verdicts_in_words
 from cbsr_qa.report.section import RunSection
 from cbsr_qa.report.select import alike, spread_text
-from cbsr_qa.report.tables import limit_text, margin_text, plural, sign_of_bound, text_table, unit_column, value_cell
+from cbsr_qa.report.tables import (
+    limit_text,
+    margin_text,
+    plural,
+    sign_of_bound,
+    text_table,
+    unit_column,
+    value_cell,
+    with_uncertainty,
+)
 
 #: A measurement with more qualifiers than this gets one row for all of them.
 _MAX_QUALIFIERS: Final = 8
 #: Of more limits than this only the closest ones, and all that were not passed, are shown unfolded.
 _MAX_LIMITS: Final = 60
 _CLOSEST: Final = 24
+#: On the first page: the closest limits of a sensor that met them all, and the most of one that did not.
+_CLOSEST_ON_PAGE_ONE: Final = 3
+_MOST_ON_PAGE_ONE: Final = 16
 #: Phases that fit a page beside each other.
 _MAX_PHASES: Final = 4
+
+
+class Decision(RunSection):
+    """The first page of a run's report: every limit that was not clearly met, and what the sensor does."""
+
+    title = "Decision"
+    leaf = 1
+
+    def blocks(self, result: RunResult) -> Iterator[Block]:
+        """Return the limits that were not clearly met, worst first, or the closest ones; then the abilities."""
+        judged = _sort_by_severity([m for m in result.measurements if m.limit is not None])
+        unmet = [m for m in judged if m.outcome is not Outcome.PASS]
+        if judged:
+            yield Paragraph(_count_outcomes(judged))
+            closest = judged[:_CLOSEST_ON_PAGE_ONE]
+            caption = "Limits not met, or barely; the worst comes first." if unmet else "Closest to failing."
+            yield _limit_table(caption, unmet[:_MOST_ON_PAGE_ONE] or closest, _with_strains(judged))
+        if len(unmet) > _MOST_ON_PAGE_ONE:
+            yield Paragraph(f"{plural(len(unmet) - _MOST_ON_PAGE_ONE, 'more limit')}: see annex Limits.", "note")
+        yield from map(Paragraph, _describe_errors(result))
+        if result.calibration is not None:
+            yield from map(Paragraph, describe_abilities(result.calibration))
+
+
+def _describe_errors(result: RunResult) -> Iterator[str]:
+    """Say how well loads were read that nothing was learned from, and how well presses were placed."""
+    known = [m for m in result.measurements if m.name == "force_error_sd" and m.qualifier == "place known"]
+    if known and known[0].value is not None:
+        words = with_uncertainty(known[0].value, known[0].uncertainty)
+        yield f"Forces of loads that it was not calibrated with were off by {words} N (standard deviation)."
+    located = [m for m in result.measurements if m.name == "centre_of_mass_error" and not m.qualifier]
+    errors_mm = [m.value for m in located if m.value is not None]
+    if errors_mm:
+        presses = f"{len(errors_mm)} of {plural(len(located), 'press', 'presses')}"
+        yield f"Images showed {presses}, {spread_text(errors_mm, 'mm')} mm from where they were."
 
 
 class Limits(RunSection):
@@ -44,11 +92,10 @@ class Limits(RunSection):
             return
         judged = [m for m in result.measurements if m.limit is not None]
         others = [m for m in result.measurements if m.limit is None]
-        outcomes = "The recipe sets no limit on anything that was measured."
         if judged:
-            counts = outcome_counts([m.outcome for m in judged])
-            outcomes = f"{plural(len(judged), 'limit')} judged: {counts}. The closest to failing comes first."
-        yield Paragraph(outcomes)
+            yield Paragraph(f"{_count_outcomes(judged)} The closest to failing comes first.")
+        else:
+            yield Paragraph("The recipe sets no limit on anything that was measured.")
         if result.limits_version is not None:
             yield Paragraph(_version_words(result.limits_version, judged))
         if judged:
@@ -89,18 +136,28 @@ def _version_words(version: LimitsVersion, judged: Sequence[Measurement]) -> str
     return words if version.sealed else f"{words} They may have been changed since."
 
 
+def _count_outcomes(judged: Sequence[Measurement]) -> str:
+    return f"{plural(len(judged), 'limit')} judged: {outcome_counts([m.outcome for m in judged])}."
+
+
+def _sort_by_severity(judged: Sequence[Measurement]) -> list[Measurement]:
+    return sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
+
+
 def _limit_tables(judged: Sequence[Measurement]) -> list[Table]:
-    order = sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
-    versioned = any(m.limit and m.limit.version for m in judged)
-    strains = _with_strains(judged)
-    rows = [_limit_row(m, m.phase in strains, versioned) for m in order]
-    columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
+    order, strains = _sort_by_severity(judged), _with_strains(judged)
     caption = "Limits. Margin: distance from the nearer bound, negative outside."
-    if len(rows) <= _MAX_LIMITS:
-        return [text_table(caption, columns, rows, (2, 3, 4))]
+    if len(order) <= _MAX_LIMITS:
+        return [_limit_table(caption, order, strains)]
     first = max(_CLOSEST, sum(m.outcome is not Outcome.PASS for m in order))
-    rest = text_table("The other limits, all further from failing.", columns, rows[first:], (2, 3, 4))
-    return [text_table(caption, columns, rows[:first], (2, 3, 4)), replace(rest, folded=True)]
+    rest = _limit_table("The other limits, all further from failing.", order[first:], strains)
+    return [_limit_table(caption, order[:first], strains), replace(rest, folded=True)]
+
+
+def _limit_table(caption: str, judged: Sequence[Measurement], strains: frozenset[str]) -> Table:
+    versioned = any(m.limit and m.limit.version for m in judged)
+    columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
+    return text_table(caption, columns, [_limit_row(m, m.phase in strains, versioned) for m in judged], (2, 3, 4))
 
 
 def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:

@@ -1,4 +1,4 @@
-"""Images of loads, random loads, and loads estimated from their readings."""
+"""Loads at a glance; their images, random loads, and loads estimated from their readings."""
 
 from collections import Counter
 from collections.abc import Iterator, Sequence
@@ -24,7 +24,7 @@ from cbsr_qa.plugin import (
     Table,
 )
 from cbsr_qa.report.draw.estimates import PlacedLoad, error_scale, estimates_figure
-from cbsr_qa.report.draw.loads import load_images_figure, random_loads_figure
+from cbsr_qa.report.draw.loads import arrow_scale, load_images_figure, location_map_figure, random_loads_figure
 from cbsr_qa.report.section import ObservedSection
 from cbsr_qa.report.select import Measured, join_loads, loads_of, spread_text
 from cbsr_qa.report.tables import (
@@ -36,12 +36,46 @@ from cbsr_qa.report.tables import (
     value_cell,
     with_uncertainty,
 )
+from cbsr_qa_plugins.sections.force import draw_known_places
 
+#: Images in the one row of the overview.
+_AT_A_GLANCE: Final = 9
 #: A longer table is folded.
 _MAX_ROWS: Final = 60
 _COLUMNS = (
     "Load", "Strain [%]", "Image [mm]", "Readings [mm]", "Contrast c [%]", "Radius [mm]", "A·c [mm²]", "d′",
 )  # fmt: skip
+
+
+class Overview(ObservedSection):
+    """The second page of a run's report: places, images, and force against truth."""
+
+    title = "What was measured"
+    leaf = 2
+
+    def run_blocks(self, result: RunResult, run: RunObservation) -> Iterator[Block]:
+        """Return the figures that the run's loads allow."""
+        measured = Measured(result.measurements)
+        loads = loads_of(run, Role.GRID) or tuple(run.loads)
+        if not loads:
+            return
+        seen = join_loads(loads, run, measured)
+        scale = arrow_scale(seen)
+        errors_mm = [load.error_mm for load in seen if load.error_mm is not None]
+        yield Figure(
+            "Where the loads were (dashed) and where they were seen (blue); arrows are the errors"
+            f"{f', {scale} times longer' if scale > 1 else ''}. Right: every press; a diamond is outside its limit.",
+            f"{plural(len(seen), 'load')}; error {spread_text(errors_mm, 'mm')}.",
+            location_map_figure(seen, run.record.sensor_type),
+        )
+        firsts = list({load.label: load for load in reversed(seen)}.values())[::-1][:_AT_A_GLANCE]
+        yield Figure(
+            f"Image of the first press at {plural(len(firsts), 'place')}, on one scale.",
+            f"{plural(len(firsts), 'image')}.",
+            load_images_figure(firsts, run.record.sensor_type, columns=_AT_A_GLANCE),
+        )
+        if (forces := draw_known_places(run)) is not None:
+            yield forces
 
 
 class LoadEstimates(ObservedSection):

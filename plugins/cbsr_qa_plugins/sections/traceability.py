@@ -22,9 +22,8 @@ from cbsr_qa.plugin import (
     Table,
     VerdictOverride,
 )
-from cbsr_qa.report.gate import gate_blocks
 from cbsr_qa.report.section import RunSection
-from cbsr_qa.report.station import chart_blocks, station_blocks
+from cbsr_qa.report.station import chart_blocks, gate_blocks, station_blocks
 from cbsr_qa.report.tables import duration, number, quantity, text_table
 
 _OUTLINES: Final = {
@@ -37,6 +36,7 @@ class Traceability(RunSection):
     """Section of instruments with identity and due dates, software versions, digest, geometry and settings."""
 
     title = "Traceability"
+    leaf = 3
 
     def blocks(self, result: RunResult) -> Iterator[Block]:
         """Return the tables; those of overrides and sessions only if there are any."""
@@ -52,8 +52,7 @@ class Traceability(RunSection):
         if len(record.sessions) > 1:
             yield _sessions(record)
         yield from (Paragraph(words) for words in _attendance_lines(record))
-        rows = [[name, version] for name, version in record.identity.software]
-        yield text_table("Software.", ("Distribution", "Version"), rows)
+        yield Paragraph(f"Software: {', '.join(' '.join(one) for one in record.identity.software)}.")
 
 
 def _instruments(record: RunRecord) -> Table:
@@ -226,6 +225,7 @@ class StationChecked(RunSection):
     """Section of the station's control charts that signal, the checks before the run, and its latest own check."""
 
     title = "Station"
+    leaf = 3
 
     def blocks(self, result: RunResult) -> Iterator[Block]:
         identity = result.record.identity

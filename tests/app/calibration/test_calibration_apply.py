@@ -304,11 +304,11 @@ def test_show_says_what_the_force_model_is_worth(folder, tmp_path, calibration):
     assert document["no_force_model"] is None
     least = force["least_force_centre_N"]
     assert least < force["least_force_worst_N"]
-    shown = _run("show", folder / "sensor.h5").stdout
+    shown = _run("show", folder / "sensor.h5", "--all").stdout
     assert f"{least:.2g} N at the centre" in shown
     bare = replace(force_calibration(), force=None, no_force="too few loads", digest="", record_digest="")
     write_calibration(tmp_path / "bare.h5", bare)
-    assert "none: too few loads" in _run("show", tmp_path / "bare.h5").stdout
+    assert "none: too few loads" in _run("show", tmp_path / "bare.h5", "--all").stdout
 
 
 def test_the_least_force_that_is_shown_is_the_one_that_is_detected(folder, calibration):

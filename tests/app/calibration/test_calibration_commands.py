@@ -29,12 +29,12 @@ def _run(*arguments: str) -> Any:
 
 
 def test_show_prints_what_a_reader_needs(issued):
-    shown = _run("show", str(issued)).output
+    shown = _run("show", str(issued), "--all").output
     assert "sensor S-001 ü" in shown
     assert "batch        batch 41" in shown
     assert "simulated    bench" in shown
     assert "force: 0.9 to 3.5 N" in shown
-    assert "assumed, not measured on this sensor: α against stress, β against stress" in shown
+    assert "Assumed, not measured on this sensor: α against stress, β against stress" in shown
     assert "at least 29.5" in shown
     (line,) = [
         line for line in shown.splitlines() if line.strip().startswith("reconstruction/regularisation_criterion")
@@ -61,11 +61,21 @@ def test_show_as_json_is_one_document(issued):
     assert document["values"]["reference/voltages"]["shape"] == list(sample_calibration().reference.shape)
 
 
+def test_show_says_what_the_sensor_does_and_only_with_all_every_field(issued):
+    shown = _run("show", str(issued)).output
+    assert "What it does" in shown
+    assert "Settles in at least" in shown
+    assert "Assumed, not measured on this sensor" in shown
+    assert "reconstruction/" not in shown
+    assert len(shown.splitlines()) < len(_run("show", str(issued), "--all").output.splitlines()) / 3
+
+
 def test_show_says_what_errors_of_force_include(issued, tmp_path):
-    assert "Standard errors of force include scatter only; load cell not stated." in _run("show", str(issued)).output
+    shown = _run("show", str(issued), "--all").output
+    assert "Standard errors of force include scatter only; load cell not stated." in shown
     path = tmp_path / "traced.h5"
     write_calibration(path, replace(sample_calibration(), standards=(LOAD_CELL, INDENTER)))
-    shown = " ".join(_run("show", str(path)).output.split())
+    shown = " ".join(_run("show", str(path), "--all").output.split())
     assert (
         "Standard errors of force include scatter and load cell (U = 0.5 % (k = 2), certificate K-2026-0711" in shown
     )
@@ -83,7 +93,9 @@ def test_every_field_of_the_field_table_is_shown(issued):
     assert {"identity/issued_at", "validity/strain", "reconstruction/method", "image/mask"} <= held
     values = json.loads(_run("show", str(issued), "--json").stdout)["values"]
     assert held <= set(values)
-    listed = {line.split()[0] for line in _run("show", str(issued)).output.splitlines() if line.startswith("    ")}
+    listed = {
+        line.split()[0] for line in _run("show", str(issued), "--all").output.splitlines() if line.startswith("    ")
+    }
     in_sections = ("assumed", "baseline_conductance/", "identity/", "settling/", "validity/")
     assert not [path for path in listed if path.startswith(in_sections)]
     not_shown = {path for path in values if path not in listed and not path.startswith(in_sections)}

@@ -89,7 +89,7 @@ def test_a_named_file_of_another_batch_is_refused(batches, configuration):
     ("change", "words"),
     [
         (lambda text: text.replace('"head_mm": 13.0', '"head_mm": 12.0'), "was changed"),
-        (lambda text: text.replace('"layout": 1', '"layout": 7'), "layout 7; this version reads 1"),
+        (lambda text: text.replace('"layout": 2', '"layout": 7'), "layout 7; this version reads 2"),
         (lambda text: text[: len(text) // 2], "cannot be read"),
         (lambda text: "[]", "layout None"),
     ],

@@ -6,8 +6,47 @@ from section_texts import tables, texts
 
 from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
-from cbsr_qa_plugins.sections.limits import Limits
+from cbsr_qa_plugins.sections.limits import Decision, Limits
 from cbsr_qa_plugins.sections.relaxation import RelaxationFits
+
+
+def judge(*values):
+    limit = Limit("e", "mm", None, 5.0, marginal=1.0)
+    about = {"phase": "nine", "how": "no blob"}
+    return tuple(
+        Measurement("e", value, "mm", location=f"L{k}", load=k, **about).judge(limit)
+        for k, value in enumerate(values)
+    )
+
+
+def test_the_first_page_lists_what_was_not_met_the_worst_first(result):
+    measured = judge(1.0, 4.5, 6.0, None, 9.0, 2.0)
+    (table,) = tables(Decision().render(replace(result, measurements=measured)))
+    assert [row[0].split(":")[0] for row in texts(table)] == ["e (L4)", "e (L2)", "e (L3)", "e (L1)"]
+    assert [row[-1].outcome for row in table.rows] == [
+        Outcome.FAIL,
+        Outcome.FAIL,
+        Outcome.NOT_MEASURED,
+        Outcome.MARGINAL,
+    ]
+
+
+def test_the_first_page_of_a_sensor_that_met_all_limits_shows_the_closest(result):
+    (table,) = tables(Decision().render(replace(result, measurements=judge(1.0, 3.0, 0.5, 2.0, 0.1))))
+    assert [row[0] for row in texts(table)] == ["e (L1)", "e (L3)", "e (L0)"]
+
+
+def test_the_first_page_names_how_many_more_limits_were_not_met(result):
+    section = Decision().render(replace(result, measurements=judge(*[9.0] * 20)))
+    assert len(tables(section)[0].rows) == 16
+    assert any(getattr(block, "text", "").startswith("4 more limits") for block in section.blocks)
+
+
+def test_the_first_page_says_what_the_sensor_does_only_if_it_was_calibrated(result):
+    paragraphs = [getattr(block, "text", "") for block in Decision().render(result).blocks]
+    assert any(text.startswith("Settles in") for text in paragraphs)
+    without = Decision().render(replace(result, calibration=None))
+    assert not any(getattr(block, "text", "").startswith("Settles in") for block in without.blocks)
 
 
 def test_of_many_limits_the_closest_are_shown_and_the_others_folded(result):
