@@ -4,6 +4,7 @@ import getpass
 import signal
 import sys
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -45,6 +46,10 @@ def check(
     sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
     material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
     seed: Annotated[int, typer.Option(help="Seed for simulated instruments.", min=0, max=2**31 - 1)] = 0,
+    replay: Annotated[
+        Path | None,
+        typer.Option(metavar="TRANSCRIPT", help="Let a transcript answer for the instruments; stores nothing."),
+    ] = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
@@ -54,7 +59,9 @@ def check(
     """
     if bool(station) == bool(named):
         context.fail("The station is named twice: leave --station out." if station else "Missing option '--station'.")
-    from cbsr_qa.app.station_check.check import CheckRequest, check_station
+    if replay is not None and golden is not None:
+        context.fail("--golden runs a sensor, which a transcript cannot: leave out --golden or --replay.")
+    from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
     from cbsr_qa.cli.console import Terminal
 
     request = CheckRequest(
@@ -69,8 +76,43 @@ def check(
         seed=seed,
         database=database,
     )
-    checked = check_station(request, Terminal(database))
+    console = Terminal(database)
+    checked = check_station(request, console) if replay is None else replay_check(request, replay, console)
     raise typer.Exit(show(checked, as_json=as_json))
+
+
+@command("station record", prints="cbsr_qa.app.station_check.outcome:CheckedStation")
+def record(
+    station: Annotated[str, typer.Argument(help="Station file, or the name of a shipped one.")],
+    to: Annotated[Path, typer.Option("--to", metavar="TRANSCRIPT", help="File to write; must not exist yet.")],
+    operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
+    ring_ohm: Annotated[
+        float | None, typer.Option(metavar="OHM", help="Resistance of each resistor of the reference ring.")
+    ] = None,
+    ring_connected: Annotated[
+        bool, typer.Option("--ring-connected", help="The ring is already connected; do not ask.")
+    ] = False,
+    seed: Annotated[int, typer.Option(help="Seed for simulated instruments.", min=0, max=2**31 - 1)] = 0,
+    database: Database = None,
+    as_json: AsJson = False,
+) -> None:
+    """Check a station, and keep every byte between drivers and instruments in a text file.
+
+    cbsr-qa station check STATION --replay TRANSCRIPT makes the same check without the instruments.
+    """
+    from cbsr_qa.app.station_check.check import CheckRequest, check_station
+    from cbsr_qa.cli.console import Terminal
+
+    request = CheckRequest(
+        station=station,
+        operator=operator,
+        ring_ohm=ring_ohm,
+        ring_connected=ring_connected,
+        seed=seed,
+        database=database,
+        record=to,
+    )
+    raise typer.Exit(show(check_station(request, Terminal(database)), as_json=as_json))
 
 
 Named = Annotated[str, typer.Argument(metavar="NAME", help="Station, by the name in its file.")]

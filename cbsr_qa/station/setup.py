@@ -172,6 +172,10 @@ def _emulation(
         return None
     for spec in station.instruments:
         plugins.factory(Kind.INSTRUMENT, spec.driver)  # a misspelt name is not a driver without an emulator
+    from cbsr_qa.plugin.links.taps import is_replaying
+
+    if is_replaying():
+        return None
     from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation  # other stations have no emulators
     from cbsr_qa.simulate.instruments.streams import WatchedClock
 

@@ -19,6 +19,7 @@ from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.instruments import Instrument, Linked, Sampler, SelfTesting
+from cbsr_qa.plugin.links.taps import Listener, Tap, use_tap
 from cbsr_qa.report.tables import number, unit_shown
 from cbsr_qa.station.bench import (
     FORCE_APPLICATOR,
@@ -39,6 +40,8 @@ Confirm = Callable[[str], bool] | None
 
 #: Subject of lines about all instruments together.
 _WHOLE: Final = "whole bench"
+#: What drives or switches a current, beside the source of frames.
+_ELECTRICAL: Final = ("source_meter", "multiplexer")
 _NO_RING: Final = "give --ring-ohm, or [reference_ring] in the station file"
 
 
@@ -62,6 +65,7 @@ def look_at_bench(
     confirm: Confirm,
     ask: Callable[[str], str] | None = None,
     tell: Callable[[str], None] = lambda words: None,
+    tap: Tap | None = None,
 ) -> BenchFindings:
     """Open every instrument, ask each for identity and self-test, check samples, measure the ring, close all.
 
@@ -72,6 +76,8 @@ def look_at_bench(
     ring : ring to measure, if any.
     confirm : called before the ring is measured on a real bench.
     ask : function that asks an operator to work instruments by hand; None without an operator.
+    tap : recorder or replay of what passes between drivers and instruments, if any. Instruments that are replayed
+        count as simulated.
 
     Raises
     ------
@@ -83,19 +89,28 @@ def look_at_bench(
     with_simulated_ring = (
         with_ring(configuration, resistances) if resistances and simulates_frames(configuration.station) else None
     )
-    look = _Look(with_simulated_ring or configuration, clock, tell)
-    opened, callbacks = opener(look.configuration, plugins, clock, ask=ask)
-    try:
-        for spec in look.configuration.station.instruments:
-            look.open(spec, opened, today)
-        look.check_standards(today)
-        connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
-        look.put_together(callbacks)
-        look.sample()
-        look.measure_ring(ring, resistances, connected)
-    finally:
-        look.close(callbacks)
+    used_tap = tap or Listener(configuration.station)
+    look = _Look(with_simulated_ring or configuration, clock, tell, used_tap)
+    with use_tap(used_tap):
+        opened, callbacks = opener(look.configuration, plugins, clock, ask=ask)
+        try:
+            for spec in sorted(look.configuration.station.instruments, key=_moves):
+                look.open(spec, opened, today)
+            look.check_standards(today)
+            connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
+            look.put_together(callbacks)
+            look.sample()
+            look.measure_ring(ring, resistances, connected)
+        finally:
+            look.close(callbacks)
     return look.found
+
+
+def _moves(spec: InstrumentSpec) -> int:
+    """Order in which instruments are asked: what only reads first, then what drives a current, what moves last."""
+    if FORCE_APPLICATOR in spec.provides:
+        return 2
+    return int(any(role in spec.provides for role in (FRAME_SOURCE, *_ELECTRICAL)))
 
 
 def simulates_frames(station: Station) -> bool:
@@ -127,11 +142,12 @@ def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> d
 class _Look:
     """One check of a bench: open instruments, and the findings so far."""
 
-    def __init__(self, configuration: Configuration, clock: Clock, tell: Callable[[str], None]) -> None:
+    def __init__(self, configuration: Configuration, clock: Clock, tell: Callable[[str], None], tap: Tap) -> None:
         self.configuration = configuration
         self.found = BenchFindings()
         self._clock = clock
         self._tell = tell
+        self._tap = tap
         self._mounted: list[Mounted] = []
         self._missing = 0
         self._bench: Bench | None = None
@@ -143,7 +159,7 @@ class _Look:
         except Exception as error:  # noqa: BLE001 - a plugin's driver may raise anything; it is one line
             if isinstance(error, RefusedError):
                 self.found.refused.append(error)
-            self._add(_error_result(spec.role, "identity", error))
+            self._add(self._describe_error(spec.role, "identity", error))
             self._missing += 1
         else:
             self._mounted.append(mounted)
@@ -167,9 +183,9 @@ class _Look:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
         role = mounted.spec.role
         try:
-            identity = identity_of(mounted, emulated=emulated)
+            identity = identity_of(mounted, emulated=emulated or self._tap.replays)
         except Exception as error:  # noqa: BLE001 - as above
-            self._add(_error_result(role, "identity", error))
+            self._add(self._describe_error(role, "identity", error))
             self._missing += 1
             return
         self.found.instruments.append(identity)
@@ -197,7 +213,7 @@ class _Look:
             for line in tested:
                 self._add(replace(line, subject=mounted.spec.role))
         except Exception as error:  # noqa: BLE001 - as above
-            self._add(_error_result(mounted.spec.role, "self-test", error))
+            self._add(self._describe_error(mounted.spec.role, "self-test", error))
 
     def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
         """Request the ring, before instruments that check their contacts are linked."""
@@ -235,7 +251,8 @@ class _Look:
                         sampled = _check_samples(mounted.spec, mounted.instrument, begun_s, stale_s)
                     self._add(sampled)
                 except Exception as error:  # noqa: BLE001 - as above
-                    self._add(_error_result(mounted.spec.role, f"samples of {mounted.instrument.channel}", error))
+                    name = f"samples of {mounted.instrument.channel}"
+                    self._add(self._describe_error(mounted.spec.role, name, error))
 
     def measure_ring(self, ring: ReferenceRing | None, resistances_ohm: tuple[float, ...], connected: bool) -> None:
         """Take frames of the ring and judge them; a line says why if none are taken."""
@@ -274,6 +291,12 @@ class _Look:
         if self._mounted and not unsafe:
             finding = "source off, head up: every instrument says so"
             self._add(CheckResult("safe state", CheckOutcome.OK, said=finding, subject=_WHOLE))
+
+    def _describe_error(self, role: str, name: str, error: Exception) -> CheckResult:
+        """Return the line of an error, with what was sent last and what came then."""
+        line = _error_result(role, name, error)
+        last = self._tap.describe_last(role)
+        return replace(line, said=f"{line.said}; {last}") if last else line
 
     def _add(self, line: CheckResult) -> None:
         self.found.lines.append(line)

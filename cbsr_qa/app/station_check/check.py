@@ -1,6 +1,7 @@
 """Check a station: its instruments, a reference ring, a golden sensor; the check is stored with the runs."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from functools import cache
 from pathlib import Path
@@ -23,6 +24,8 @@ from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.links.taps import Recorder, Replay
+from cbsr_qa.plugin.links.transcript import Transcript
 from cbsr_qa.plugin.software import software_versions
 from cbsr_qa.report.render import render_sections, report_name, write_report
 from cbsr_qa.station.control.lock import station_held
@@ -30,7 +33,7 @@ from cbsr_qa.station.interrupts import on_stderr
 from cbsr_qa.station.setup import configure, station_clock
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
-from cbsr_qa.system.clock import RealClock
+from cbsr_qa.system.clock import Clock, RealClock, VirtualClock
 
 #: Shipped recipe of a golden sensor's run.
 GOLDEN_RECIPE: Final = "golden-check"
@@ -53,7 +56,12 @@ _NEEDED: Final = ("identity", "together", "safe state", "closing")
 
 @dataclass(frozen=True, slots=True)
 class CheckRequest:
-    """A check to make; see the options of ``cbsr-qa station check``."""
+    """A check to make; see the options of ``cbsr-qa station check`` and ``station record``.
+
+    Parameters
+    ----------
+    record : transcript to write of all that passes between drivers and instruments; must not exist.
+    """
 
     station: str
     golden: str | None = None
@@ -65,6 +73,7 @@ class CheckRequest:
     material: str | None = None
     seed: int = 0
     database: str | None = None
+    record: Path | None = None
 
 
 def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> CommandOutcome[CheckedStation]:
@@ -97,16 +106,19 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
             confirm_placed(_place_words(request.golden))
         doing = "checking the station"
         with station_held(configuration.station.name, who=request.operator, doing=doing), stoppable():
-            findings = look_at_bench(
-                configuration,
-                plugins,
-                station_clock(configuration),
-                today=RealClock().wall().date(),
-                ring=ring,
-                confirm=(lambda words: True) if request.ring_connected else confirm,
-                ask=ask,
-                tell=console.tell,
-            )
+            clock = station_clock(configuration)
+            with _recording(request.record, configuration.station, clock) as recorder:
+                findings = look_at_bench(
+                    configuration,
+                    plugins,
+                    clock,
+                    today=RealClock().wall().date(),
+                    ring=ring,
+                    confirm=(lambda words: True) if request.ring_connected else confirm,
+                    ask=ask,
+                    tell=console.tell,
+                    tap=recorder,
+                )
         if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
             raise findings.refused[0]  # no instrument could be opened at all
         findings.lines += _backlog(store, configuration.station)
@@ -118,6 +130,47 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
     named = "" if golden is None else golden.words
     outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring, golden_run=named)
     return _write_page(outcome, reports_folder() / report_name("station", check.station, check.check))
+
+
+def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY) -> CommandOutcome[CheckedStation]:
+    """Check what a transcript says in place of a station's instruments; nothing is stored.
+
+    Raises
+    ------
+    RefusedError
+        If the transcript is not whole, or of other instruments.
+    """
+    plugins = discover()
+    configuration = _configuration(request, plugins)
+    ring = _ring(request, configuration.station.reference_ring)
+    clock = VirtualClock()
+    replay = Replay(Transcript.read(path), configuration.station, clock)
+    with stoppable():
+        findings = look_at_bench(
+            configuration,
+            plugins,
+            clock,
+            today=RealClock().wall().date(),
+            ring=ring,
+            confirm=lambda words: True,
+            tell=console.tell,
+            tap=replay,
+        )
+    check = _check(f"replay of {path.name}", request, configuration, software_versions(plugins), findings, None)
+    return check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring)
+
+
+@contextmanager
+def _recording(path: Path | None, station: Station, clock: Clock) -> Iterator[Recorder | None]:
+    """Yield a recorder to a transcript; None without a path."""
+    if path is None:
+        yield None
+        return
+    recorder = Recorder(path, station, clock)
+    try:
+        yield recorder
+    finally:
+        recorder.close()
 
 
 def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:

@@ -11,6 +11,7 @@ from serial.tools import list_ports
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links.locks import AddressLock
+from cbsr_qa.plugin.links.taps import current_tap
 from cbsr_qa.system.clock import RealClock
 
 _USB: Final = "usb:"
@@ -49,6 +50,7 @@ class SerialLink:
         self._held = bytearray()
         self._reading = threading.RLock()
         self._writing = threading.Lock()
+        self._lock: AddressLock | None = None
         self._port = self._open_port()
 
     @property
@@ -117,7 +119,8 @@ class SerialLink:
     def close(self) -> None:
         """Give the port back; may be called more than once."""
         self._port.close()
-        self._lock.release()
+        if self._lock is not None:
+            self._lock.release()
 
     def _take(self, count: int) -> bytes:
         data = bytes(self._held[:count])
@@ -142,12 +145,17 @@ class SerialLink:
             self._held += self._port.read(max(waiting, 1))
 
     def _open_port(self) -> serial.Serial:
+        tap = current_tap()
+        port: serial.Serial = self._open_real_port() if tap is None else tap.open(self.role, self._open_real_port)
+        return port
+
+    def _open_real_port(self) -> serial.Serial:
         path = self._path()
-        self._lock = AddressLock(self.role, path)
+        self._lock = lock = AddressLock(self.role, path)
         try:
             return serial.Serial(path, self._baud, timeout=self.timeout_s, write_timeout=_WRITE_S, exclusive=True)
         except (serial.SerialException, OSError, ValueError) as error:
-            self._lock.release()
+            lock.release()
             raise self._opening_error(path, error) from error
 
     def _path(self) -> str:

@@ -14,6 +14,7 @@ from pyvisa.errors import VisaIOError
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin.links.locks import AddressLock
+from cbsr_qa.plugin.links.taps import current_tap, is_replaying
 from cbsr_qa.system.clock import RealClock
 
 #: A resynchronisation waits this many times the timeout for its token: the late answer comes first.
@@ -56,11 +57,11 @@ class VisaLink:
         self._time = RealClock()
         self._words = itertools.count(1)
         self._down = False
-        self._lock = AddressLock(role, address, device=_device(address))
+        self._lock = None if is_replaying() else AddressLock(role, address, device=_device(address))
         try:
             self._resource = self._open_resource()
         except BaseException:
-            self._lock.release()
+            self._release()
             raise
 
     def write(self, text: str) -> None:
@@ -140,13 +141,21 @@ class VisaLink:
         """Give the resource back; may be called more than once."""
         with suppress(Exception):  # a session that was lost cannot be closed any more
             self._resource.close()
-        self._lock.release()
+        self._release()
+
+    def _release(self) -> None:
+        if self._lock is not None:
+            self._lock.release()
 
     def _line(self) -> str:
         with self._convert_errors():
             return bytes(self._resource.read_raw()).decode("ascii", "replace").rstrip("\r\n")
 
     def _open_resource(self) -> Any:
+        tap = current_tap()
+        return self._open_real_resource() if tap is None else tap.open(self.role, self._open_real_resource)
+
+    def _open_real_resource(self) -> Any:
         try:
             if self._backend not in _managers:
                 _managers[self._backend] = pyvisa.ResourceManager(self._backend)

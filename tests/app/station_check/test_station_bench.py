@@ -319,7 +319,7 @@ def test_a_head_that_does_not_move_has_no_samples_and_nothing_is_wrong_with_it(b
 
 
 def test_an_operator_who_stops_the_check_while_being_asked_ends_it_and_leaves_the_bench_safe(bench):
-    bench.instruments["load_cell"].self_test = raising(AbortedError("the operator, who answered 'stop'"))
+    bench.instruments["force_applicator"].self_test = raising(AbortedError("the operator, who answered 'stop'"))
     with pytest.raises(AbortedError):
         bench.look()
     assert [bench.script.count(f"{role}.safe_state") for role in ROLES] == [1, 1, 1]

@@ -1,0 +1,75 @@
+"""A check of the emulated bench that is recorded, and made again from its transcript."""
+
+import json
+
+import numpy as np
+import pytest
+
+from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.store.opening import open_store
+
+BENCH = CheckRequest("bench-emulated", ring_ohm=10000.0)
+
+
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    """The folder of a recorded check, its transcript, and its outcome."""
+    folder = tmp_path_factory.mktemp("recorded")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("CBSR_QA_VAR", str(folder / "var"))
+        path = folder / "bench.txt"
+        outcome = check_station(CheckRequest("bench-emulated", ring_ohm=10000.0, record=path))
+    return folder, path, outcome.result
+
+
+def test_the_replay_gives_the_same_frames_and_lines_in_every_bit(recorded, monkeypatch):
+    from cbsr_qa.app.station_check import check
+
+    folder, path, result = recorded
+    seen = []
+    monkeypatch.setenv("CBSR_QA_VAR", str(folder / "elsewhere"))
+    monkeypatch.setattr(check, "check_outcome", lambda made, ring, *_, **__: seen.append((made, ring)))
+    replay_check(BENCH, path)
+    ((replayed, ring),) = seen
+    assert replayed.results == result.results
+    assert [one.serial for one in replayed.instruments] == [one.serial for one in result.instruments]
+    assert all(one.simulated for one in replayed.instruments)
+    with open_store(f"sqlite:///{folder / 'var' / 'cbsr-qa.db'}") as store:
+        stored = store.stations.read_ring(result.check)
+    np.testing.assert_array_equal(ring.frames.voltages, stored.frames.voltages)
+    np.testing.assert_array_equal(ring.frames.time_s, stored.frames.time_s)
+    assert not (folder / "elsewhere").exists()  # nothing is stored
+
+
+def test_instruments_that_only_read_are_asked_first_and_what_moves_last(recorded):
+    _, _, result = recorded
+    asked = [line.subject for line in result.results if line.name == "identity"]
+    assert asked[0] in ("load_cell", "thermometer")
+    assert asked.index("multiplexer") < asked.index("applicator")
+
+
+def test_the_command_replays_and_names_a_transcript_that_was_cut_off(recorded, monkeypatch, capsys, tmp_path):
+    _, path, result = recorded
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    ring = ["--ring-ohm", "10000"]
+    assert run_guarded(["station", "check", "bench-emulated", *ring, "--replay", str(path), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["check"] == "replay of bench.txt"
+    assert len(document["results"]) == len(result.results)
+    cut = tmp_path / "cut.txt"
+    cut.write_text("".join(path.read_text().splitlines(keepends=True)[:5000]))
+    assert run_guarded(["station", "check", "bench-emulated", "--replay", str(cut), "--json"]) == 2
+    assert "was cut off: line 5000 is not its end" in capsys.readouterr().err
+
+
+def test_a_sensor_cannot_be_run_by_a_transcript(recorded, capsys):
+    arguments = ["station", "check", "bench-emulated", "--replay", str(recorded[1]), "--golden", "G-1"]
+    assert run_guarded(arguments) == 2
+    assert "--golden" in capsys.readouterr().err
+
+
+def test_an_existing_file_is_refused_before_anything_is_opened(recorded):
+    with pytest.raises(RefusedError, match="exists already"):
+        check_station(CheckRequest("bench-emulated", record=recorded[1]))

@@ -1,0 +1,176 @@
+"""Transcripts of links: written and read without loss, replayed byte for byte, and refused if they are not whole."""
+
+import random
+from dataclasses import replace
+
+import pytest
+from pyvisa.errors import VisaIOError
+
+from cbsr_qa.domain.errors import InstrumentError, RefusedError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.plugin.links.serial_link import SerialLink
+from cbsr_qa.plugin.links.taps import Recorder, Replay, ReplayedLink, is_replaying, use_tap
+from cbsr_qa.plugin.links.transcript import Event, Transcript, escape, unescape
+from cbsr_qa.station.setup import configure
+from cbsr_qa.system.clock import VirtualClock
+
+
+@pytest.fixture(scope="module")
+def station():
+    shipped = configure("simulated", "golden-check", sensor_type=None, material=None, seed=3).station
+    cell = InstrumentSpec("load_cell", "serial-load-cell", ("force",), {"token": "hunter2"}, None)
+    return replace(shipped, instruments=(cell,))
+
+
+class Wire:
+    """A serial port that answers every line with its reverse, an octet at a time where it is slow."""
+
+    def __init__(self):
+        self.sent, self.waiting = bytearray(), bytearray(b"\x00stale")
+        self.timeout, self.is_open, self.port = None, True, "wire"
+
+    @property
+    def in_waiting(self):
+        return len(self.waiting)
+
+    def write(self, data):
+        self.sent += data
+        self.waiting += data[::-1]
+        return len(data)
+
+    def read(self, size):
+        taken = bytes(self.waiting[: min(size, 3)])
+        del self.waiting[: len(taken)]
+        return taken
+
+    def reset_input_buffer(self):
+        self.waiting.clear()
+
+    def close(self):
+        self.is_open = False
+
+
+def talk(link, clock):
+    """Say some lines and return what came, and when."""
+    link.reset_input_buffer()
+    heard = []
+    for words in (b"\x01 one \\ two \xff\n", b"say hunter2", b"\r\t "):
+        link.write(words)
+        clock.sleep(0.25)
+        link.timeout = 1.0
+        answer = bytearray()
+        while len(answer) < len(words):
+            answer += link.read(len(words) - len(answer))
+        heard.append((bytes(answer), clock.now()))
+    return heard
+
+
+@pytest.fixture
+def recorded(station, tmp_path):
+    clock, path = VirtualClock(), tmp_path / "t.txt"
+    recorder = Recorder(path, station, clock)
+    heard = talk(recorder.open("load_cell", Wire), clock)
+    recorder.close()
+    return path, heard
+
+
+def test_any_bytes_are_written_as_printable_text_and_read_back():
+    data = bytes(range(256)) + b" \\n \\x20 \\\\ "
+    text = escape(data)
+    assert text.isprintable()
+    assert text.isascii()
+    assert not text.endswith(" ")
+    assert unescape(text) == data
+    source = random.Random(5)
+    for _ in range(200):
+        some = source.randbytes(source.randrange(40))
+        assert unescape(escape(some)) == some
+
+
+def test_what_was_said_is_answered_again_at_the_same_times_and_secrets_are_not_written(recorded, station):
+    path, heard = recorded
+    text = path.read_text()
+    assert "hunter2" not in text
+    assert "say ***" in text
+    assert " load_cell - " in text  # what was thrown away is there too
+    clock = VirtualClock()
+    again = talk(Replay(Transcript.read(path), station, clock).open("load_cell", Wire), clock)
+    hidden = [(answer, at) for answer, at in heard if b"2retnuh" not in answer]
+    assert [one for one in again if one in hidden] == hidden
+    assert [at for _, at in again] == [at for _, at in heard]
+
+
+def test_another_word_than_was_sent_is_named_with_its_line(recorded, station):
+    link = Replay(Transcript.read(recorded[0]), station, VirtualClock()).open("load_cell", Wire)
+    with pytest.raises(OSError, match=r"line \d+ of .*t\.txt sent '.*one.*', now 'M115.+' is sent"):
+        link.write(b"M115\n")
+
+
+def test_a_serial_link_meets_a_replay_that_has_ended_as_a_link_that_is_down(recorded, station):
+    transcript = Transcript.read(recorded[0])
+    with use_tap(Replay(replace(transcript, events=()), station, VirtualClock())):
+        assert is_replaying()
+        link = SerialLink("load_cell", "emulated", baud=9600, timeout_s=0.05)
+        with pytest.raises(InstrumentError, match="ends before"):
+            link.write(b"M115\n")
+    assert not is_replaying()
+
+
+def test_an_answer_that_did_not_come_does_not_come_now():
+    transcript = Transcript.from_pairs("meter", [(b"*IDN?\n", None), (b"again\n", b"yes\n")])
+    link = ReplayedLink(transcript, "meter", VirtualClock())
+    link.write_raw(b"*IDN?\n")
+    with pytest.raises(VisaIOError, match=r"[Tt]imeout"):
+        link.read_raw()
+    link.write_raw(b"again\n")
+    assert link.read_bytes(4) == b"yes\n"
+
+
+def test_a_failure_of_the_link_fails_again():
+    events = (Event(0.0, "cell", ">", b"x"), Event(1.0, "cell", "!", b"SerialException: unplugged"))
+    link = ReplayedLink(Transcript("s", {}, events), "cell", VirtualClock())
+    link.write(b"x")
+    link.timeout = 1.0
+    with pytest.raises(OSError, match="unplugged"):
+        link.read(1)
+
+
+@pytest.mark.parametrize(
+    ("change", "words"),
+    [
+        (lambda lines: lines[:-3], r"was cut off: line \d+ is not its end; .*|was cut off"),
+        (lambda lines: [line.replace(" > ", " < ") for line in lines], "was changed"),
+        (lambda lines: [*lines[:4], lines[5], lines[4], *lines[6:]], "was changed"),
+        (lambda lines: [*lines[:4], *lines[5:]], "was changed"),
+        (lambda lines: [*lines[:4], "1.0 load_cell ? x", *lines[5:]], r"line 5 is '1.0 load_cell \? x'"),
+        (lambda lines: [*lines[:4], "1.0 load_cell > \\q", *lines[5:]], "is no escape"),
+        (lambda lines: lines[1:], "does not begin with"),
+        (lambda lines: [], "does not begin with"),
+    ],
+)
+def test_a_file_that_is_not_whole_is_refused_and_says_where(recorded, tmp_path, change, words):
+    lines = recorded[0].read_text().splitlines()
+    path = tmp_path / "changed.txt"
+    path.write_text("".join(f"{line}\n" for line in change(lines)))
+    with pytest.raises(RefusedError, match=words):
+        Transcript.read(path)
+
+
+def test_a_file_of_other_bytes_or_none_is_refused(tmp_path):
+    (tmp_path / "binary").write_bytes(b"\xff\xfe")
+    with pytest.raises(RefusedError, match="byte 1 is not ASCII"):
+        Transcript.read(tmp_path / "binary")
+    with pytest.raises(RefusedError, match="cannot be read"):
+        Transcript.read(tmp_path / "none")
+
+
+def test_a_transcript_of_another_driver_or_without_the_instrument_is_refused(recorded, station):
+    transcript = Transcript.read(recorded[0])
+    for drivers, words in (({"load_cell": "phidget-bridge"}, "with driver phidget-bridge"), ({}, "without it")):
+        with pytest.raises(RefusedError, match=words):
+            Replay(replace(transcript, drivers=drivers), station, VirtualClock())
+
+
+def test_a_file_is_never_written_over(recorded, station):
+    with pytest.raises(RefusedError, match="exists already"):
+        Recorder(recorded[0], station, VirtualClock())
