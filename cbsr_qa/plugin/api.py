@@ -148,6 +148,7 @@ from cbsr_qa.domain.sensor.patterns import (
 )
 from cbsr_qa.domain.sensor.sensor_type import Relaxation as Relaxation, SensorType as SensorType
 from cbsr_qa.plugin.hooks import (
+    Emulator as Emulator,
     Example as Example,
     Kind as Kind,
     Register as Register,

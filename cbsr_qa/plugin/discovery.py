@@ -3,7 +3,7 @@
 import importlib
 import threading
 import time
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass
 from difflib import get_close_matches
 from importlib.metadata import EntryPoint, entry_points
@@ -14,7 +14,7 @@ import pluggy
 import cbsr_qa.plugin.hooks as hookspecs
 from cbsr_qa.domain.errors import AbortedError, PluginError
 from cbsr_qa.plugin.failures import failure
-from cbsr_qa.plugin.hooks import PROJECT, Example, Kind
+from cbsr_qa.plugin.hooks import PROJECT, Emulator, Example, Kind
 from cbsr_qa.system.copies import come_back_once
 from cbsr_qa.system.words import describe_error
 
@@ -155,12 +155,25 @@ class Plugins:
 
         PluginError if the plugin is unknown; what its hook raises is not caught.
         """
+        answer: Example | None = self._ask_owner(kind, name, "cbsr_example", {"kind": kind, "name": name})
+        return answer
+
+    def emulator(self, driver: str) -> Emulator | None:
+        """Return what emulates instruments of a driver, as its distribution says; None if it does not say.
+
+        PluginError if the driver is unknown; what its hook raises is not caught.
+        """
+        answer: Emulator | None = self._ask_owner(Kind.INSTRUMENT, driver, "cbsr_emulator", {"driver": driver})
+        return answer
+
+    def _ask_owner(self, kind: Kind, name: str, hook: str, arguments: Mapping[str, object]) -> Any:
+        """Return the first answer of the hooks of the distribution that registered a plugin."""
         registration = self._registered.get((kind, name))
         if registration is None:
             raise self.unknown(kind, name)
         answers: Iterable[Any] = (
-            implementation.function(**{key: {"kind": kind, "name": name}[key] for key in implementation.argnames})
-            for implementation in self.manager.hook.cbsr_example.get_hookimpls()
+            implementation.function(**{key: arguments[key] for key in implementation.argnames})
+            for implementation in getattr(self.manager.hook, hook).get_hookimpls()
             if implementation.plugin_name.startswith(f"{registration.distribution}:")
         )
         with come_back_once():

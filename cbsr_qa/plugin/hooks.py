@@ -88,6 +88,33 @@ def cbsr_example(kind: Kind, name: str) -> Example | None:
 
 
 @dataclass(frozen=True, slots=True)
+class Emulator:
+    """What stands for an instrument whose address in the station file is ``"emulated"``.
+
+    Parameters
+    ----------
+    make : called with the ``EmulatedRig`` (clock and simulated sheet of the station), the instrument's options, and a
+        function that sends bytes unasked. Returns a ``Served``: ``receive(data)`` returns the answers.
+    network : whether it is reached over a TCP socket, as a VISA resource; otherwise over a serial line.
+    """
+
+    make: Callable[[Any, Mapping[str, Any], Callable[[bytes], None]], Any]
+    network: bool = False
+
+
+@hookspec
+def cbsr_emulator(driver: str) -> Emulator | None:
+    """Say what emulates the instruments of a driver of this distribution.
+
+    Called for stations that emulate such an instrument. None: it has no emulator.
+
+    Parameters
+    ----------
+    driver : name of the driver, as registered.
+    """
+
+
+@dataclass(frozen=True, slots=True)
 class Veto:
     """A plugin's objection to a run.
 

@@ -194,7 +194,7 @@ def _emulation(
         effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
         began_s=resumed_at_s,
     )
-    return Emulation(station.instruments, EmulatedRig(clock, world, station.motion))
+    return Emulation(station.instruments, EmulatedRig(clock, world, station.motion), plugins.emulator)
 
 
 def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:

@@ -8,6 +8,7 @@ from typing import Any, Final, Self
 
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec, Motion
+from cbsr_qa.plugin.hooks import Emulator
 from cbsr_qa.simulate.frames import SimulatedFrame
 from cbsr_qa.simulate.instruments.head import EmulatedHead
 from cbsr_qa.simulate.instruments.streams import Fault, FreeRunning, Port, PtyPort, Served, TcpPort, WatchedClock
@@ -109,12 +110,23 @@ EMULATORS: Final[Mapping[str, tuple[str, str, type[Port]]]] = {
 class Emulation:
     """Running emulators of one station; close it, or use it as a context manager.
 
-    ConfigError if there is no emulator for a driver. ``specs``: the station's instruments; those whose address is
-    "emulated" are served.
+    ConfigError if there is no emulator for a driver.
+
+    Parameters
+    ----------
+    specs : the station's instruments; those whose address is "emulated" are served.
+    find : function that returns the emulator of a driver that is not among ours, see
+        :func:`~cbsr_qa.plugin.hooks.cbsr_emulator`.
     """
 
-    def __init__(self, specs: Iterable[InstrumentSpec], rig: EmulatedRig) -> None:
+    def __init__(
+        self,
+        specs: Iterable[InstrumentSpec],
+        rig: EmulatedRig,
+        find: Callable[[str], Emulator | None] = lambda driver: None,
+    ) -> None:
         self.rig = rig
+        self._find = find
         self.ports: dict[str, Port] = {}
         self.instruments: dict[str, Served] = {}
         try:
@@ -149,14 +161,18 @@ class Emulation:
         self.close()
 
     def _start(self, spec: InstrumentSpec) -> None:
-        if spec.driver not in EMULATORS:
+        make: Callable[[EmulatedRig, Mapping[str, Any], Callable[[bytes], None]], Served]
+        stream: type[Port]
+        if spec.driver in EMULATORS:
+            module, name, stream = EMULATORS[spec.driver]
+            make = getattr(import_module(f"cbsr_qa.simulate.instruments.{module}"), name)
+        elif (emulator := self._find(spec.driver)) is not None:
+            make, stream = emulator.make, TcpPort if emulator.network else PtyPort
+        else:
             raise ConfigError(
                 f"instrument {spec.role!r} has address {EMULATED!r}, but driver {spec.driver!r} has no emulator",
-                remedy=f"emulated drivers: {', '.join(sorted(EMULATORS))}",
+                remedy=f"emulated drivers: {', '.join(sorted(EMULATORS))}; a plugin adds one with cbsr_emulator",
             )
-        module, name, stream = EMULATORS[spec.driver]
-        make: Callable[[EmulatedRig, Mapping[str, Any], Callable[[bytes], None]], Served]
-        make = getattr(import_module(f"cbsr_qa.simulate.instruments.{module}"), name)
         port = self.ports[spec.role] = stream(f"emulated {spec.role}")
         instrument = self.instruments[spec.role] = make(self.rig, spec.options, port.send)
         if isinstance(instrument, FreeRunning):

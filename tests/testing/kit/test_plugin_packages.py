@@ -1,15 +1,23 @@
 """A package from the templates works as it is, for every kind of plugin, and replaces nothing."""
 
+import importlib
 import os
 import subprocess
 import sys
+from dataclasses import replace
 
 import pytest
 from pages import TOP, blocks
+from scanning_rig import TabledWorld
+from simulated_setting import MOTION, context
 
 from cbsr_qa.cli import main
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.plugin import Kind, RefusedError
 from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.simulate.instruments.rig import EmulatedRig, Emulation
+from cbsr_qa.simulate.instruments.streams import WatchedClock
 from cbsr_qa.testing import assert_conforms
 from cbsr_qa.testing.kit.new import make_package
 
@@ -35,6 +43,27 @@ def own_path(monkeypatch):
 def test_a_new_package_conforms_without_being_installed(made, kind):
     """A reconstruction takes seconds; tests/commands/test_plugin_tutorial.py checks one."""
     assert_conforms(made[kind].folder)
+
+
+def test_the_emulator_of_a_new_instrument_answers_where_a_station_says_emulated(made):
+    package, plugins, clock = made[Kind.INSTRUMENT], discover(), WatchedClock()
+    sys.path.append(str(package.folder))
+    plugins.add(importlib.import_module(package.module), package.distribution, "0", "made")
+    spec = InstrumentSpec("room", package.name, ("temperature",), {"address": "emulated"}, None)
+    with Emulation([spec], EmulatedRig(clock, TabledWorld(), MOTION), plugins.emulator) as emulation:
+        told = replace(context(None, clock=clock), role="room", options=dict(emulation.fill_address(spec).options))
+        instrument = plugins.factory(Kind.INSTRUMENT, package.name)(told)
+        clock.sleep(1.0)
+        assert instrument.samples_since(0.0).values.tolist() == [21.5]
+        instrument.close()
+
+
+def test_an_emulated_address_of_a_driver_that_has_no_emulator_is_refused_with_what_adds_one():
+    spec = InstrumentSpec("bridge", "phidget-bridge", ("force",), {"address": "emulated"}, None)
+    rig = EmulatedRig(WatchedClock(), TabledWorld(), MOTION)
+    with pytest.raises(ConfigError, match=r"phidget-bridge.*no emulator") as refused:
+        Emulation([spec], rig, PLUGINS.emulator)
+    assert "cbsr_emulator" in refused.value.remedy
 
 
 def _done(*words, cwd, **environment):
