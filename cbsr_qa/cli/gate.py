@@ -45,7 +45,9 @@ def gate(
 def release(
     file: Annotated[
         str,
-        typer.Argument(help="Station, recipe, sensor type, material or scene file, or the name of a shipped one."),
+        typer.Argument(
+            help="Station, recipe, sensor type, material or scene file, or a shipped one's name; or a batch's model."
+        ),
     ],
     by: Annotated[str, typer.Option(metavar="NAME", help="Who releases it.")],
     why: Annotated[str, typer.Option(metavar="TEXT", help="Reason.")],

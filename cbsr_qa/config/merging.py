@@ -5,6 +5,7 @@ import json
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass, replace
 from datetime import date, datetime, time
+from pathlib import Path
 from typing import Any, Self
 
 from cbsr_qa.config.documents import DocumentKind
@@ -15,13 +16,19 @@ from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.json_text import parse_json
 
 _OF_A_RUN = (DocumentKind.STATION, DocumentKind.RECIPE, DocumentKind.SENSOR_TYPE, DocumentKind.MATERIAL)
 
 #: Version of the document's layout, and of that of a batch's model in it (before 2 its rough maps were smoother).
 LAYOUT = 1
 BATCH_LAYOUT = 2
+#: Size above that of any model's file [bytes].
+_MOST_BYTES = 2**26
 _BATCH = "batch_model"
+#: What a batch's model is called among the files of a run.
+BATCH_NOUN = "batch model"
 #: Parts of the document that determine how a run is analysed.
 RECIPE_KEYS = ("recipe", _BATCH)
 
@@ -181,6 +188,18 @@ def read_batch_model(content: Mapping[str, Any], where: str) -> KeptBatch:
     return kept
 
 
+def read_model_file(path: Path) -> KeptBatch:
+    """Read a model's file. ConfigError if it cannot be read, is of another layout, or was changed."""
+    try:
+        content = parse_json(read_foreign(path, _MOST_BYTES))
+    except (OSError, ValueError) as error:
+        why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
+        raise ConfigError(
+            f"{path} cannot be read: {why}", remedy="cbsr-qa batch model --to FILE writes one"
+        ) from error
+    return read_batch_model(content if isinstance(content, dict) else {}, str(path))
+
+
 def _with_batch(recipe: Recipe, model: Mapping[str, Any] | None) -> Recipe:
     if model is None:
         return recipe
@@ -200,6 +219,11 @@ class FileContent:
     def from_table(cls, kind: DocumentKind, data: Mapping[str, Any]) -> Self:
         return cls(kind.noun, str(data[kind.table]["name"]), content_digest(data))
 
+    @classmethod
+    def from_batch(cls, kept: KeptBatch) -> Self:
+        """A batch's model, by the name of the batch."""
+        return cls(BATCH_NOUN, kept.batch, kept.content_sha256)
+
 
 def content_digest(data: Mapping[str, Any]) -> str:
     """Return the SHA-256 of a file's content, which comments and the order of keys do not change."""
@@ -207,12 +231,18 @@ def content_digest(data: Mapping[str, Any]) -> str:
 
 
 def list_files(configuration: Configuration) -> tuple[FileContent, ...]:
-    """Return the files that a run is configured by: station, recipe, sensor type, material, and scenes once each."""
+    """Return the files that a run is configured by.
+
+    They are station, recipe, sensor type, material, scenes once each, and the batch's model if it has one.
+    """
     content = json.loads(configuration.canonical)
     data_by_kind = {kind: content[kind.table] for kind in _OF_A_RUN}
     scenes = [*content["scenes"].values(), *([content["emulated_scene"]] if "emulated_scene" in content else [])]
     contents = [FileContent.from_table(kind, data) for kind, data in data_by_kind.items()]
-    return tuple(dict.fromkeys([*contents, *(FileContent.from_table(DocumentKind.SCENE, data) for data in scenes)]))
+    contents += [FileContent.from_table(DocumentKind.SCENE, data) for data in scenes]
+    batch = configuration.recipe.analysis.batch
+    contents += [] if batch is None else [FileContent.from_batch(batch)]
+    return tuple(dict.fromkeys(contents))
 
 
 def canonical_json(content: Any) -> str:

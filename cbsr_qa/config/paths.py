@@ -2,6 +2,7 @@
 
 import errno
 import os
+import re
 from collections.abc import Mapping
 from pathlib import Path
 
@@ -48,6 +49,12 @@ def materials_folder(environment: Mapping[str, str] = os.environ) -> Path:
 def batches_folder(environment: Mapping[str, str] = os.environ) -> Path:
     """Folder for the models of batches, below :func:`var_folder`."""
     return var_folder(environment) / "batches"
+
+
+def batch_file(batch: str, content_sha256: str) -> Path:
+    """File of a batch's model in the folder of batches."""
+    name = re.sub(r"[^\w.-]", "_", batch)
+    return batches_folder() / f"{name}-{content_sha256[:16]}.json"
 
 
 def check_folder(folder: Path) -> None:

@@ -3,11 +3,12 @@
 from collections.abc import Callable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass
+from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.config.documents import DocumentKind, list_shipped, open_document
 from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
-from cbsr_qa.config.merging import FileContent
+from cbsr_qa.config.merging import FileContent, read_model_file
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_operator, validate_reason
 from cbsr_qa.domain.errors import ConfigError
@@ -64,8 +65,7 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
         if not text.strip():
             raise ConfigError(f"a release needs {option}", remedy=f"say {missing_fact}")
     operator, reason = validate_operator(request.by), validate_reason(request.why)
-    kind = _kind(request.file)
-    content = FileContent.from_table(kind, _LOADERS[kind](request.file, discover()).document.data)
+    content = _read_content(request.file)
     with open_store(database_url(request.database)) as store:
         earlier_release = store.releases.read_latest(content.kind, content.sha256)
         if request.withdraw and (earlier_release is None or earlier_release.action != "released"):
@@ -86,6 +86,14 @@ def release_file(request: ReleaseRequest) -> CommandOutcome[Released]:
     return answer(released, f"{released.kind} {released.name} {released.action} by {released.by}", "", facts)
 
 
+def _read_content(file: str) -> FileContent:
+    """Read what a file of a run or of a batch's model is. ConfigError if it is neither, or has mistakes."""
+    if file.endswith(".json"):
+        return FileContent.from_batch(read_model_file(Path(file)))
+    kind = _kind(file)
+    return FileContent.from_table(kind, _LOADERS[kind](file, discover()).document.data)
+
+
 def _kind(file: str) -> DocumentKind:
     """Return what a file is by its table, and a shipped one by its name. Raise ConfigError if it is neither."""
     if file.endswith(".toml") or "/" in file or "\\" in file:
@@ -102,7 +110,8 @@ def _kind(file: str) -> DocumentKind:
     if not kinds:
         open_document(DocumentKind.STATION, file)  # says what is wrong with a file that cannot be read
         raise ConfigError(
-            f"{echo(file)} is no file of a run", remedy=f"give the path or the shipped name of a {known_kinds}"
+            f"{echo(file)} is no file of a run",
+            remedy=f"give the path or the shipped name of a {known_kinds}, or a batch's model (.json)",
         )
     raise ConfigError(
         f"{echo(file)} is the name of a {' and a '.join(kind.noun for kind in kinds)}", remedy="give the path"

@@ -5,7 +5,8 @@ from typing import Final
 
 from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.app.station_charts import charts_after
-from cbsr_qa.config.merging import FileContent, list_files
+from cbsr_qa.config.merging import BATCH_NOUN, FileContent, list_files
+from cbsr_qa.config.paths import batch_file
 from cbsr_qa.domain.plan.standards import find_doubtful_dates, past_due
 from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
@@ -103,7 +104,16 @@ def files_released(asked: Asked) -> Finding:
     unreleased_words = ", ".join(
         f"{file.kind} {file.name} ({_state(asked.store, file)}, SHA-256 {file.sha256[:12]})" for file in unreleased
     )
-    return Finding(False, unreleased_words, "have each released", "cbsr-qa release FILE --by NAME --why TEXT")
+    names = {_name_file(file) for file in unreleased}
+    command = f"cbsr-qa release {names.pop() if len(names) == 1 else 'FILE'} --by NAME --why TEXT"
+    where = f" (a batch's model is {', '.join(sorted(names - {'FILE'}))})" if names - {"FILE"} else ""
+    return Finding(False, unreleased_words, f"have each released{where}", command)
+
+
+def _name_file(file: FileContent) -> str:
+    """The file of a batch's model where ``batch model`` has written it; ``FILE`` for others, which lie anywhere."""
+    path = batch_file(file.name, file.sha256)
+    return str(path) if file.kind == BATCH_NOUN and path.exists() else "FILE"
 
 
 def _state(store: Repository | None, file: FileContent) -> str:

@@ -5,31 +5,15 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.calibration.batch.kept import make_prior
-from cbsr_qa.config.merging import Configuration, add_batch_model, read_batch_model
+from cbsr_qa.config.merging import Configuration, add_batch_model, read_model_file
 from cbsr_qa.config.paths import batches_folder
-from cbsr_qa.domain.errors import CalibrationError, ConfigError, RefusedError
+from cbsr_qa.domain.errors import CalibrationError, RefusedError
 from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.opening import open_existing
-from cbsr_qa.system.foreign import read_foreign
-from cbsr_qa.system.json_text import parse_json
 
-#: Size above that of any model's file [bytes].
-_MOST_BYTES: Final = 2**26
 #: Drift of the level since the model's last sensor, over the deviation of levels, from which a model is too old.
 _MOST_DRIFT: Final = 1.0
-
-
-def read_model_file(path: Path) -> KeptBatch:
-    """Read a model's file. ConfigError if it cannot be read, is of another layout, or was changed."""
-    try:
-        content = parse_json(read_foreign(path, _MOST_BYTES))
-    except (OSError, ValueError) as error:
-        why = getattr(error, "strerror", None) or "it is not the file of a batch's model"
-        raise ConfigError(
-            f"{path} cannot be read: {why}", remedy="cbsr-qa batch model --to FILE writes one"
-        ) from error
-    return read_batch_model(content if isinstance(content, dict) else {}, str(path))
 
 
 def add_prior(configuration: Configuration, batch: str, file: Path | None, database: str) -> Configuration:

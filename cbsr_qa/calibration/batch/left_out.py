@@ -35,15 +35,22 @@ def leave_each_out(
     """
     sensors = model.loads.sensors
     draws = max(DRAWS, _DRAWS_PER_SENSOR * len(sensors) - 1)  # p values that are adjusted for all sensors
+    for number, (sensor, (others, posterior)) in enumerate(zip(sensors, find_posteriors(model), strict=True)):
+        prior = BatchPrior(others, *thin(posterior, _MEMBERS))
+        count(number + 1, len(sensors))
+        yield prior.test_likeness(sensor, draws), prior.learn_response(sensor)
+
+
+def find_posteriors(model: BatchModel) -> Iterator[tuple[BatchLikelihood, Posterior]]:
+    """Yield for each sensor the likelihood and the posterior of the others alone."""
+    sensors = model.loads.sensors
     together = BatchLikelihood(model.loads).compute(model.posterior.choices)
-    for number, sensor in enumerate(sensors):
+    for number in range(len(sensors)):
         others = BatchLikelihood(BatchLoads(sensors[:number] + sensors[number + 1 :]))
         posterior = _reweigh(model.posterior, others, together)
         if 1 / (posterior.weights**2).sum() < _FEW / (model.posterior.weights**2).sum():
             posterior = find_posterior(others, model.radius_mm)
-        prior = BatchPrior(others, *thin(posterior, _MEMBERS))
-        count(number + 1, len(sensors))
-        yield prior.test_likeness(sensor, draws), prior.learn_response(sensor)
+        yield others, posterior
 
 
 def _reweigh(posterior: Posterior, others: BatchLikelihood, together: Array) -> Posterior:

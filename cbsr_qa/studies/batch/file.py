@@ -1,14 +1,14 @@
 """The model of a batch as it is kept: in a database, and as a JSON file that holds all a run needs to use it."""
 
 import json
-import re
 from dataclasses import asdict, replace
 from pathlib import Path
 
+from cbsr_qa.calibration.batch.kept import keep_loads, keep_members
 from cbsr_qa.config.merging import BATCH_LAYOUT, digest_batch_model
-from cbsr_qa.config.paths import batches_folder, writable_folder
+from cbsr_qa.config.paths import batch_file, writable_folder
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.domain.plan.batch_model import KeptBatch, KeptMember, KeptSensor
+from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.studies.batch.study import LEVEL, BatchStudy
 from cbsr_qa.system.files import write_atomically, writing
 
@@ -29,8 +29,8 @@ def write_model(study: BatchStudy, path: Path | None) -> Path:
     if path is not None:
         check_new(path)
     else:
-        name = re.sub(r"[^\w.-]", "_", kept.batch)
-        path = writable_folder(batches_folder()) / f"{name}-{kept.content_sha256[:16]}.json"
+        path = batch_file(kept.batch, kept.content_sha256)
+        writable_folder(path.parent)
         if path.exists():
             return path
     with writing(path), write_atomically(path) as file:
@@ -50,21 +50,8 @@ def keep_model(study: BatchStudy) -> KeptBatch:
     """Return what is kept of a batch's model."""
     loads = study.model.loads
     sensors = tuple(
-        KeptSensor(
-            serial=sensor.serial,
-            run=sensor.run,
-            chain_head=sensor.chain_head,
-            places_mm=tuple((x, y) for x, y in pressed.places_mm.tolist()),
-            log_response=tuple(pressed.log_response.tolist()),
-            variance=tuple(pressed.variance.tolist()),
-            bend=None if pressed.bend is None else tuple(pressed.bend.tolist()),
-            bend_stderr=pressed.bend_stderr,
-        )
+        keep_loads(sensor.serial, sensor.run, sensor.chain_head, pressed)
         for sensor, pressed in zip(study.sensors, loads.sensors, strict=True)
-    )
-    members = tuple(
-        KeptMember(**asdict(choice), weight=weight)
-        for choice, weight in zip(study.model.choices, study.model.weights, strict=True)
     )
     kept = KeptBatch(
         layout=BATCH_LAYOUT,
@@ -76,7 +63,7 @@ def keep_model(study: BatchStudy) -> KeptBatch:
         head_mm=study.head_mm,
         radius_mm=study.model.radius_mm,
         sensors=sensors,
-        members=members,
+        members=keep_members(study.model.choices, study.model.weights),
         level_drift=next(
             (quantity.drift for quantity in study.quantities if quantity.name == LEVEL and quantity.drifts), 0.0
         ),

@@ -1,11 +1,13 @@
 """Every check of the gate passes, warns, refuses and is off where it should, on real databases."""
 
+import json
 import threading
-from dataclasses import replace
+from dataclasses import asdict, replace
 from datetime import UTC, datetime, timedelta
 
 import pytest
 from calibration_samples import LOAD_CELL
+from kept_batches import keep_sample
 from stored_lots import judged, store_run
 from stored_runs import identity, journalled, short_run
 
@@ -15,7 +17,8 @@ from cbsr_qa.app.gate.release_list import list_releases
 from cbsr_qa.app.gate.releases import ReleaseRequest, release_file
 from cbsr_qa.app.gate.request import GateRequest, Override
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
-from cbsr_qa.config.merging import merge
+from cbsr_qa.config.merging import add_batch_model, merge
+from cbsr_qa.config.paths import batch_file
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
 from cbsr_qa.domain.plan.limits import Limit, Outcome
@@ -304,6 +307,40 @@ def test_files_are_released_by_their_content_until_that_is_withdrawn(ask, store,
     assert shown.page.banner.headline == "4 contents released"
     with pytest.raises(ConfigError, match="is not released"):
         release_file(ReleaseRequest(str(own), "Grace", "twice", withdraw=True, database=database))
+
+
+def test_a_batch_s_model_is_released_like_the_other_files(ask, store, merged, tmp_path, monkeypatch):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+    database = f"sqlite:///{tmp_path / 'runs.db'}"
+    kept = keep_sample()
+    with_batch = add_batch_model(merged, kept)
+    for file in ("simulated", "nine-locations", "disc-100mm", "cbsr-8wt", "base"):
+        release_file(ReleaseRequest(file, "Grace", "qualified", database=database))
+    assert ask("released").words == "all 5 files are released"
+    answer = ask("released", configuration=with_batch)
+    assert answer.outcome is GateOutcome.REFUSED
+    assert answer.words == f"batch model 41 (not released, SHA-256 {kept.content_sha256[:12]})"
+    assert "cbsr-qa release FILE --by" in answer.command
+    path = batch_file("41", kept.content_sha256)
+    path.parent.mkdir()
+    path.write_text(json.dumps(asdict(kept)))
+    assert f"cbsr-qa release {path} --by" in ask("released", configuration=with_batch).command
+    released = release_file(ReleaseRequest(str(path), "Grace", "six sensors", database=database)).result
+    assert (released.kind, released.name, released.sha256) == ("batch model", "41", kept.content_sha256)
+    assert ask("released", configuration=with_batch).words == "all 6 files are released"
+    other = add_batch_model(merged, keep_sample(level_drift=0.02))
+    assert ask("released", configuration=other).words.startswith("batch model 41 (not released")
+    release_file(ReleaseRequest(str(path), "Grace", "drifts", withdraw=True, database=database))
+    assert "batch model 41 (withdrawn by Grace" in ask("released", configuration=with_batch).words
+
+
+def test_a_changed_or_absent_model_of_a_batch_is_not_released(tmp_path):
+    path = tmp_path / "model.json"
+    with pytest.raises(ConfigError, match="cannot be read"):
+        release_file(ReleaseRequest(str(path), "Grace", "why", database=str(tmp_path / "none.db")))
+    path.write_text(json.dumps(asdict(keep_sample()) | {"head_mm": 12.0}))
+    with pytest.raises(ConfigError, match="was changed"):
+        release_file(ReleaseRequest(str(path), "Grace", "why", database=str(tmp_path / "none.db")))
 
 
 @pytest.mark.parametrize(

@@ -7,9 +7,9 @@ import pytest
 from filled_databases import filled
 from kept_batches import keep_sample
 
-from cbsr_qa.app.run.batch_model import add_prior, read_model_file
+from cbsr_qa.app.run.batch_model import add_prior
 from cbsr_qa.config.documents import DocumentKind
-from cbsr_qa.config.merging import restore
+from cbsr_qa.config.merging import read_model_file, restore
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.studies.simulated import configuration_of, copy_shipped
@@ -104,12 +104,13 @@ def test_a_changed_or_broken_file_is_named(batches, change, words):
 
 
 def test_a_model_older_than_the_drift_of_its_batch_is_refused(batches, configuration, tmp_path):
-    batches(keep_sample(level_drift=0.02))
+    drifting = batches(keep_sample(level_drift=0.02))
     database = tmp_path / "runs.db"
     filled(database, [(f"S-{90 + number}", MEASURED, {"batch": "41", "day": number}) for number in range(12)])
     with pytest.raises(
         RefusedError, match=r"changes by \+2.0% from one sensor to the next, and 12 sensors were tested"
     ):
         add_prior(configuration, "41", None, f"sqlite:///{database}")
+    drifting.unlink()
     batches(keep_sample())  # without a drift that is shown, age does not matter
     assert add_prior(configuration, "41", None, f"sqlite:///{database}").recipe.analysis.batch == keep_sample()

@@ -11,8 +11,8 @@ from batches import draw_batch, draw_field, draw_map, place_sunflower, press
 from filled_databases import filled
 from stored_lots import store_run
 
-from cbsr_qa.app.run.batch_model import read_model_file
 from cbsr_qa.calibration.batch.kept import make_prior
+from cbsr_qa.config.merging import read_model_file
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
