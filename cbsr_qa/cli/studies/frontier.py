@@ -106,7 +106,7 @@ def frontier(
 
     With --recording, learn from growing numbers of your own presses, and say how many an accuracy needs.
 
-    With --stored, say what fewer places and shorter holds would have cost in stored runs, and which recipe follows.
+    With --stored, say what fewer places, shorter holds or the batch as prior would have cost; a recipe follows.
     """
     given = list_given_options(context)
     if stored:

@@ -5,7 +5,7 @@ import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from enum import StrEnum
-from typing import Any, Literal, TypeVar
+from typing import Any, Final, Literal, TypeVar
 
 import numpy as np
 from pydantic import TypeAdapter, ValidationError
@@ -17,6 +17,9 @@ from cbsr_qa.domain.errors import NumericsError, StoreError
 Better = Literal["more", "less", "stated"]
 #: Setting of a knob: a name, a switch, or a number.
 Knob = str | bool | int | float
+
+#: Confidence of intervals of pairs.
+_CONFIDENCE: Final = 0.95
 
 T = TypeVar("T")
 
@@ -120,6 +123,59 @@ class Point:
         if bad_names or self.seeds < 1:
             problem = f"{bad_names[0]} of {numbers[bad_names[0]]}" if bad_names else f"{self.seeds} seeds"
             raise NumericsError(f"a point of series {self.series!r} has {problem}", remedy="give finite numbers")
+
+
+@dataclass(frozen=True, slots=True)
+class BatchChange:
+    """What the batch as prior changes about one way, in pairs.
+
+    Parameters
+    ----------
+    places, hold_s, transients : the way.
+    without_N, with_N : mean force error over the sensors, without the batch and with it.
+    change_N, low_N, high_N : mean difference of pairs, with its interval of 95 % over the sensors.
+    """
+
+    places: int
+    hold_s: float
+    transients: str
+    without_N: float
+    with_N: float
+    change_N: float
+    low_N: float
+    high_N: float
+
+    @classmethod
+    def from_pair(cls, knobs: Mapping[str, Knob], without: Accuracy, beside: Accuracy) -> "BatchChange":
+        """Compare a way with the batch to the same without, on the same sensors."""
+        change = beside.subtract(without)
+        tail = float(stdtrit(len(change.by_sensor) - 1, (1 + _CONFIDENCE) / 2)) * (change.stderr or 0.0)
+        return cls(
+            places=int(knobs["places"]),
+            hold_s=float(knobs["hold_s"]),
+            transients=str(knobs["transients"]),
+            without_N=without.value,
+            with_N=beside.value,
+            change_N=change.value,
+            low_N=change.value - tail,
+            high_N=change.value + tail,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class BatchAsPrior:
+    """What is known of the batch as prior.
+
+    Parameters
+    ----------
+    sensors : sensors that a model can be learned from.
+    why : why it cannot be told what the prior would have cost; empty if it can.
+    changes : its effect on each way.
+    """
+
+    sensors: int
+    why: str = ""
+    changes: tuple[BatchChange, ...] = ()
 
 
 def restore(kind: type[T], document: Mapping[str, Any]) -> T:

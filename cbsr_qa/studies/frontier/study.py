@@ -9,7 +9,7 @@ from cbsr_qa.config.paths import var_folder, writable_folder
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.studies.frontier.computer.sweeps import mark_worth_of_computer, plan_computer_work
 from cbsr_qa.studies.frontier.files import Files, write_recipe
-from cbsr_qa.studies.frontier.point import Point, TimeBasis, restore
+from cbsr_qa.studies.frontier.point import BatchAsPrior, Point, TimeBasis, restore
 from cbsr_qa.studies.frontier.recommend import Recommendation, Target, recommend
 from cbsr_qa.studies.frontier.sensors import station_seconds
 from cbsr_qa.studies.frontier.setting import Setting
@@ -30,12 +30,14 @@ class Frontier:
     Parameters
     ----------
     guess_mm : of presses, the error of guessing: the mean distance of their places from the middle of all.
+    batch : of stored runs, what the batch as prior changes.
     """
 
     quick: bool
     points: tuple[Point, ...]
     recommended: Recommendation
     guess_mm: float | None = None
+    batch: BatchAsPrior | None = None
 
 
 def frontier(

@@ -1,24 +1,32 @@
-"""``cbsr-qa frontier --stored``: what fewer presses and shorter holds would have cost in the runs of a fleet."""
+"""``cbsr-qa frontier --stored``: what fewer presses, shorter holds or the batch as prior would have cost."""
 
 import json
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from os import cpu_count
 from pathlib import Path
-from typing import Any, Final
+from typing import Any, Final, TypeVar
 
 import cbsr_qa
 from cbsr_qa.config.merging import restore as restore_configuration
 from cbsr_qa.config.paths import database_url, var_folder, writable_folder
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.batch_model import KeptSensor
 from cbsr_qa.domain.results.fleet import RunLine, RunSelection
 from cbsr_qa.report.tables import plural
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.frontier.files import WRITTEN_BY, check_recipe, write_document
-from cbsr_qa.studies.frontier.point import Accuracy, Point, TimeBasis, restore
+from cbsr_qa.studies.frontier.point import Accuracy, BatchAsPrior, BatchChange, Point, TimeBasis, restore
 from cbsr_qa.studies.frontier.recommend import CONFIDENCE, USUAL_ROOM, Recommendation, Target
 from cbsr_qa.studies.frontier.station import mark_worth_of_station
+from cbsr_qa.studies.frontier.stored.batch import (
+    StoredBatch,
+    explain_few_others,
+    find_batch,
+    learn_others,
+    plan_observation,
+)
 from cbsr_qa.studies.frontier.stored.trial import Design, StoredTrial, Way, plan_trial, read_design
 from cbsr_qa.studies.frontier.study import Frontier
 from cbsr_qa.studies.selection import check_names, several_recipes
@@ -27,12 +35,14 @@ from cbsr_qa.studies.sweep import Kept, Tell, Work, compute_pieces
 FORCE: Final = "force_error"
 CHANGE: Final = "force_error_change"
 #: Version of the evaluation: pieces of other versions are computed again.
-_VERSION: Final = 2
+_VERSION: Final = 3
 _PROCESSES: Final = min(2, cpu_count() or 1)
 #: Fewest sensors for means with intervals, and for a choice that is confirmed on sensors which had no part in it.
 _FEWEST_SENSORS: Final = 3
 _ENOUGH_TO_CONFIRM: Final = 8
 _ATTEMPTS: Final = 3
+
+T = TypeVar("T")
 
 #: Trials of a way, by serial number.
 TrialsByWay = Mapping[Way, Mapping[str, StoredTrial]]
@@ -47,7 +57,9 @@ def study_stored(
     fresh: bool = False,
     tell: Tell,
 ) -> Frontier:
-    """Try fewer places and shorter holds on stored runs, one of each sensor, and choose a way.
+    """Try fewer places, shorter holds and the batch as prior on stored runs, one of each sensor, and choose a way.
+
+    The model of the batch is learned for each sensor from the others alone.
 
     Finished runs are kept in ``frontier/`` of the var folder.
 
@@ -72,19 +84,58 @@ def study_stored(
         configuration = store.runs.read_configuration(runs[-1].run)
         settings = restore_configuration(configuration).recipe.analysis
         design = read_design(store.runs.load(runs[-1].run), settings)
+        batch, why = _find_batch(store, selection, runs)
     kept_file = writable_folder(var_folder() / "frontier") / "stored.jsonl"
     if fresh:
         kept_file.unlink(missing_ok=True)
-    version = f"stored {_VERSION}/{cbsr_qa.__version__}"
-    work = [Work(f"{version}/{run.run}", run.words, plan_trial(url, run.run)) for run in runs]
-    pieces = compute_pieces(work, Kept(kept_file), tell, processes=_PROCESSES)
-    trials = [restore(StoredTrial, document) for documents in pieces.values() for document in documents]
-    by_way = _group_trials(trials, design)
-    frontier = Frontier(False, tuple(_points(by_way, design)), choose_way(by_way, design, target))
+    compute = _Pieces(Kept(kept_file), tell)
+    trials = compute.collect(StoredTrial, [(run.run, run.words, plan_trial(url, run.run)) for run in runs])
+    sensors: list[KeptSensor] = []
+    if batch is not None:
+        observations = [(f"{run}/loads", serial, plan_observation(url, run)) for serial, run in batch.runs]
+        sensors = compute.collect(KeptSensor, observations)
+        why = explain_few_others([sensor.serial for sensor in sensors], runs)
+    if batch is not None and not why:
+        models = learn_others(batch, sensors, [run.serial for run in runs])
+        trials += compute.collect(
+            StoredTrial,
+            [
+                (f"{run.run}/{models[run.serial].digest}", run.words, plan_trial(url, run.run, models[run.serial]))
+                for run in runs
+            ],
+        )
+    by_way = _group_trials(trials, design, with_batch=not why)
+    points = tuple(make_points(by_way, design))
+    prior = BatchAsPrior(len(sensors), why, tuple(compare_pairs(points)))
+    frontier = Frontier(False, points, choose_way(by_way, design, target), batch=prior)
     if recipe is not None:
         write_stored_recipe(frontier.recommended, json.loads(configuration)["recipe"], design, recipe)
         return replace(frontier, recommended=replace(frontier.recommended, recipe=str(recipe)))
     return frontier
+
+
+class _Pieces:
+    """Work on stored runs in several processes, kept when done."""
+
+    def __init__(self, kept: Kept, tell: Tell) -> None:
+        self._kept, self._tell = kept, tell
+
+    def collect(self, kind: type[T], work: Sequence[tuple[str, str, Callable[[], list[T]]]]) -> list[T]:
+        """Return the results of work with its key, its words, and what does it."""
+        version = f"stored {_VERSION}/{cbsr_qa.__version__}"
+        pieces = [Work(f"{version}/{key}", words, run) for key, words, run in work]
+        done = compute_pieces(pieces, self._kept, self._tell, processes=_PROCESSES)
+        return [restore(kind, document) for documents in done.values() for document in documents]
+
+
+def _find_batch(
+    store: Repository, selection: RunSelection, runs: Sequence[RunLine]
+) -> tuple[StoredBatch | None, str]:
+    """The batch of the runs; None with the reason if its model cannot be learned without each of them."""
+    try:
+        return find_batch(store, selection, runs), ""
+    except RefusedError as refusal:
+        return None, refusal.reason
 
 
 def _choose_runs(store: Repository, selection: RunSelection) -> list[RunLine]:
@@ -105,9 +156,10 @@ def _choose_runs(store: Repository, selection: RunSelection) -> list[RunLine]:
     return sorted(latest.values(), key=lambda line: line.run)
 
 
-def _group_trials(trials: Sequence[StoredTrial], design: Design) -> TrialsByWay:
+def _group_trials(trials: Sequence[StoredTrial], design: Design, *, with_batch: bool) -> TrialsByWay:
     """Trials of each way; RefusedError if runs pressed other places or held them for another time."""
-    by_way: dict[Way, dict[str, StoredTrial]] = {way: {} for way in design.list_ways()}
+    ways = [*design.list_ways(), *(design.list_batch_ways() if with_batch else ())]
+    by_way: dict[Way, dict[str, StoredTrial]] = {way: {} for way in ways}
     for trial in trials:
         if trial.way not in by_way:
             raise RefusedError(
@@ -118,10 +170,20 @@ def _group_trials(trials: Sequence[StoredTrial], design: Design) -> TrialsByWay:
     return by_way
 
 
-def _points(by_way: TrialsByWay, design: Design) -> list[Point]:
+def make_points(by_way: TrialsByWay, design: Design) -> list[Point]:
+    """Return the point of each way, and mark which are worth their time."""
     whole = by_way[design.whole]
     points = [_make_point(way, trials, whole, sorted(trials)) for way, trials in by_way.items()]
     return mark_worth_of_station(points)
+
+
+def compare_pairs(points: Sequence[Point]) -> Iterator[BatchChange]:
+    """Compare each way that has the batch as prior with the same way without."""
+    for point in points:
+        if point.knobs["prior"] == "batch":
+            without = next(other for other in points if other.knobs == {**point.knobs, "prior": "none"})
+            if FORCE in point.accuracy and FORCE in without.accuracy:
+                yield BatchChange.from_pair(point.knobs, without.accuracy[FORCE], point.accuracy[FORCE])
 
 
 def _make_point(
@@ -142,7 +204,8 @@ def _make_point(
         accuracy[CHANGE] = Accuracy.from_sensors([own - all_of for own, all_of in pairs], "N")
     note = f"refused on {len(refusals)} of {len(serials)} sensors: {refusals[0]}" if refusals else ""
     station_s = sum(trials[serial].station_s for serial in serials) / len(serials)
-    return Point(TimeBasis.STATION, "stored runs", way.knobs, accuracy, None, station_s, len(serials), note)
+    series = "stored runs" if way.prior == "none" else "batch as prior"
+    return Point(TimeBasis.STATION, series, way.knobs, accuracy, None, station_s, len(serials), note)
 
 
 def choose_way(by_way: TrialsByWay, design: Design, target: Target) -> Recommendation:
@@ -225,11 +288,14 @@ def write_stored_recipe(recommended: Recommendation, document: Mapping[str, Any]
             phase = {**phase, "locations_mm": kept, "hold_s": hold_s}  # noqa: PLW2901
         phases.append(phase)
     recipe = {**document, "recipe": {**document["recipe"], "name": path.stem[:64]}, "phases": phases}
-    recipe["analysis"] = {**document.get("analysis", {}), "transients": recommended.setting["transients"]}
+    chosen = {name: recommended.setting[name] for name in ("transients", "prior")}
+    recipe["analysis"] = {**document.get("analysis", {}), **chosen}
     force = recommended.accuracy[FORCE]
+    needs = ("It needs a model of the sensor's batch: cbsr-qa batch model.",) if chosen["prior"] == "batch" else ()
     comments = (
         f"{WRITTEN_BY} {cbsr_qa.__version__} --stored: {recommended.why}.",
         f"Mean force error of {plural(recommended.seeds, 'sensor')} {force.value:.3f} ± {force.stderr or 0.0:.3f} N,"
         f" {(recommended.station_s or 0) / 60:.0f} min.",
+        *needs,
     )
     write_document(path, recipe, comments)

@@ -12,12 +12,13 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.analysis.run.fewer_places import farthest_first
-from cbsr_qa.analysis.run.force import RunForce, force_tests, learn_without_tests
+from cbsr_qa.analysis.run.force import force_tests, learn_without_tests
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.sheet.response_map import FEWEST
 from cbsr_qa.config.merging import restore
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
+from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.observation import RunObservation
@@ -34,12 +35,10 @@ from cbsr_qa.studies.frontier.trial import select_loads
 #: Fewest loads that test a calibration.
 FEWEST_TESTS: Final = 3
 #: Shares of the places that are tried, and holds [s].
-_SHARES: Final = (0.35, 0.5, 0.7)
+_SHARES: Final = (0.25, 0.35, 0.5, 0.7)
 _HOLDS_S: Final = (30.0, 15.0)
 
 Place = tuple[float, float]
-#: Learns a force model from a run; a batch's model as prior is another.
-Learn = Callable[[RunObservation], RunForce]
 
 
 @dataclass(frozen=True, slots=True)
@@ -51,7 +50,8 @@ class Way:
     places : number, the farthest from each other of those pressed.
     hold_s : time that each was held.
     predicted : whether the holds are extrapolated to the end of long ones.
-    prior : what is known before the first press: ``"none"``.
+    prior : what is known of the map before the first press: ``"none"``, or ``"batch"``, what the others of its batch
+        have in common.
     """
 
     places: int
@@ -102,11 +102,11 @@ class Design:
 
     @property
     def whole(self) -> Way:
-        """The run as it was."""
+        """The run as it was, without a batch."""
         return Way(len(self.places_mm), self.hold_s, self.predicted)
 
     def list_ways(self) -> list[Way]:
-        """Ways to try, beginning with the run as it was."""
+        """Ways to try without a batch, beginning with the run as it was."""
         whole = self.whole
         counts = sorted({round(share * whole.places) for share in _SHARES}, reverse=True)
         fewer = [count for count in counts if FEWEST <= count < whole.places]
@@ -119,6 +119,12 @@ class Design:
             *(Way(count, hold_s, predicted=True) for hold_s in holds for count in (whole.places, *fewer)),
         ]
         return list(dict.fromkeys(ways))
+
+    def list_batch_ways(self) -> list[Way]:
+        """Ways to try with the batch as prior: those whose loads were held, or are predicted to be, for as long."""
+        whole = self.whole
+        alike = [way for way in self.list_ways() if way.hold_s == whole.hold_s or way.predicted]
+        return [replace(way, prior="batch") for way in alike]
 
     def choose_places(self, count: int) -> tuple[Place, ...]:
         """The places that a number keeps, in the order they were pressed."""
@@ -159,8 +165,12 @@ def is_test(phase: PhaseRecord, settings: AnalysisSettings) -> bool:
     return phase.role is Role.RANDOM and phase.name not in settings.calibrate_phases
 
 
-def try_stored_run(url: str, run: str, learn: Learn = learn_without_tests) -> list[StoredTrial]:
+def try_stored_run(url: str, run: str, batch: KeptBatch | None = None) -> list[StoredTrial]:
     """Load a run, and try all ways of its design.
+
+    Parameters
+    ----------
+    batch : model of the other sensors of its batch, for the ways with it as prior; None for those without.
 
     Raises
     ------
@@ -173,26 +183,27 @@ def try_stored_run(url: str, run: str, learn: Learn = learn_without_tests) -> li
         record = store.runs.load(run)
         recipe = restore(store.runs.read_configuration(run)).recipe
     method: Reconstruction = create_plugin(discover(), Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
-    return try_ways(record, method, recipe.analysis, learn)
+    return try_ways(record, method, recipe.analysis, batch)
 
 
 def try_ways(
-    record: RunRecord, method: Reconstruction, settings: AnalysisSettings, learn: Learn = learn_without_tests
+    record: RunRecord, method: Reconstruction, settings: AnalysisSettings, batch: KeptBatch | None = None
 ) -> list[StoredTrial]:
-    """Try all ways of a run's design on its frames."""
+    """Try all ways of a run's design on its frames: those with a batch as prior, or without one."""
+    settings = replace(settings, prior="none", batch=batch)
     design = read_design(record, settings)
     names = frozenset(phase.name for phase in list_calibrating_phases(record, settings))
     trials = []
     seen: dict[float, RunObservation] = {}
     tests: RunObservation | None = None
-    for way in design.list_ways():
+    for way in design.list_ways() if batch is None else design.list_batch_ways():
         try:
             if way.hold_s not in seen:
                 shortened = shorten_holds(record, way.hold_s, names)
                 seen[way.hold_s] = observe_run(shortened, method, settings, over_time=False)
             run = seen[way.hold_s]
             tests = tests or select_loads(run, lambda load: is_test(record.phase(load.phase), settings))
-            error_N, why = _measure_error(run, tests, way, design, learn), ""
+            error_N, why = _measure_error(run, tests, way, design), ""
         except CbsrError as refusal:
             error_N, why = None, refusal.reason
         station_s = record.station_s - measure_left_out_s(record, settings, way, design)
@@ -201,13 +212,14 @@ def try_ways(
     return trials
 
 
-def _measure_error(run: RunObservation, tests: RunObservation, way: Way, design: Design, learn: Learn) -> float:
+def _measure_error(run: RunObservation, tests: RunObservation, way: Way, design: Design) -> float:
     """Root mean square of a way's force errors over the test loads [N]."""
     kept = set(design.choose_places(way.places))
-    settings = replace(run.settings, transients="predicted" if way.predicted else "averaged")
+    transients = "predicted" if way.predicted else "averaged"
+    settings = replace(run.settings, transients=transients, prior=way.prior)
     calibrate = run.settings.calibrate_phases
     chosen = select_loads(run, lambda load: load.phase not in calibrate or load.place_mm in kept)
-    force = learn(replace(chosen, settings=settings))
+    force = learn_without_tests(replace(chosen, settings=settings))
     assert force.learned is not None
     errors = [test.known_N - test.measured_N for test in force_tests(tests, force.learned)]
     if len(errors) < FEWEST_TESTS:
@@ -237,6 +249,6 @@ def measure_hold_s(load: LoadRecord) -> float:
     return load.release_start_s - load.hold_start_s
 
 
-def plan_trial(url: str, run: str) -> Callable[[], list[StoredTrial]]:
+def plan_trial(url: str, run: str, batch: KeptBatch | None = None) -> Callable[[], list[StoredTrial]]:
     """Return the work on one run, for any process."""
-    return partial(try_stored_run, url, run)
+    return partial(try_stored_run, url, run, batch)

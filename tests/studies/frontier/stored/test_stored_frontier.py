@@ -2,26 +2,44 @@
 
 import json
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
+from batches import RADIUS_MM, draw_batch
 from demo_fleet import demo_fleet
 from made_once import value_made_once
 
 from cbsr_qa.analysis.run.force import force_tests, learn_without_tests
 from cbsr_qa.analysis.run.observe import observe_run
+from cbsr_qa.calibration.batch.kept import keep_loads, make_prior
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.steps import Role
+from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.report import Figure
 from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind
+from cbsr_qa.studies.batch.sensors import map_loads
+from cbsr_qa.studies.frontier.point import BatchAsPrior
 from cbsr_qa.studies.frontier.recommend import Target
 from cbsr_qa.studies.frontier.setting import GRID, Setting
-from cbsr_qa.studies.frontier.stored.study import CHANGE, FORCE, choose_way, write_stored_recipe
+from cbsr_qa.studies.frontier.stored import batch as batch_of_runs
+from cbsr_qa.studies.frontier.stored.batch import StoredBatch, learn_others
+from cbsr_qa.studies.frontier.stored.report import lay_out_stored
+from cbsr_qa.studies.frontier.stored.study import (
+    CHANGE,
+    FORCE,
+    choose_way,
+    compare_pairs,
+    make_points,
+    write_stored_recipe,
+)
 from cbsr_qa.studies.frontier.stored.trial import Design, StoredTrial, Way, measure_left_out_s, read_design, try_ways
+from cbsr_qa.studies.frontier.study import Frontier
 from cbsr_qa.studies.frontier.trial import select_loads
 from cbsr_qa.studies.simulated import configuration_of, copy_shipped, simulate_run
 
@@ -105,6 +123,135 @@ def test_runs_with_too_little_to_leave_out_or_to_test_are_refused(kept, role):
     )  # fmt: skip
     with pytest.raises(RefusedError, match="to leave some out and test the rest"):
         read_design(replace(record, phases=phases), settings)
+
+
+def test_ways_with_a_batch_are_those_of_holds_as_long_as_the_batch_s():
+    ways = DESIGN.list_batch_ways()
+    assert {way.prior for way in ways} == {"batch"}
+    assert {replace(way, prior="none") for way in ways} < set(DESIGN.list_ways())
+    assert {way.hold_s for way in ways if not way.predicted} == {60.0}
+
+
+def test_the_others_of_a_batch_teach_a_sensor_what_its_own_presses_do_not():
+    """In a batch that responds as it does, three presses say what six say; one of other sensors is not used."""
+    record, method, settings = six()
+    run = observe_run(record, method, replace(settings, transients="predicted"), over_time=False)
+    loads = map_loads(run, learn_without_tests(run))
+    random = np.random.default_rng(4)
+
+    def keep(response):
+        """A batch of six sensors that respond like this."""
+        sensors = [
+            keep_loads(f"B-{n}", f"r{n}", "0" * 64, replace(loads, log_response=response + random.normal(0, 0.01, 6)))
+            for n in range(6)
+        ]
+        return learn_others(StoredBatch((), "41", "disc-100mm", "cbsr-8wt", 13.0, RADIUS_MM), sensors, ["new"])["new"]
+
+    few = Way(3, 15.0, True, "batch")
+    without = {trial.way: trial.force_error_N for trial in try_ways(record, method, settings)}
+    alike = {trial.way: trial for trial in try_ways(record, method, settings, keep(loads.log_response))}
+    assert set(alike) == set(read_design(record, settings).list_batch_ways())
+    alone = replace(few, prior="none")
+    assert alike[few].force_error_N == pytest.approx(alike[replace(few, places=6)].force_error_N, rel=0.01)
+    assert without[alone] != pytest.approx(without[replace(alone, places=6)], rel=0.1)
+    unlike = random.standard_normal(len(loads.log_response))
+    stranger = {trial.way: trial for trial in try_ways(record, method, settings, keep(unlike))}
+    assert stranger[few].force_error_N == pytest.approx(without[alone])
+
+
+# --- the batch -------------------------------------------------------------------------------------------
+
+
+def kept_sensors(rho=0.9, count=8):
+    sensors, _ = draw_batch(np.random.default_rng(3), rho, sensors=count)
+    return [keep_loads(f"S-{number}", f"run {number}", "0" * 64, loads) for number, loads in enumerate(sensors)]
+
+
+def test_a_sensor_has_no_part_in_the_model_that_it_is_tried_with():
+    sensors = kept_sensors()
+    batch = StoredBatch((), "41", "disc-100mm", "cbsr-8wt", 13.0, RADIUS_MM)
+    models = learn_others(batch, sensors, ["S-0", "S-5", "new"])
+    assert [sensor.serial for sensor in models["S-5"].sensors] == [f"S-{n}" for n in (0, 1, 2, 3, 4, 6, 7)]
+    assert len(models["new"].sensors) == 8
+    assert len({model.digest for model in models.values()}) == 3
+    # What only its own loads say does not reach it.
+    changed = [replace(sensor, log_response=tuple(v + 0.3 for v in sensor.log_response)) if n == 5 else sensor
+               for n, sensor in enumerate(sensors)]  # fmt: skip
+    again = learn_others(batch, changed, ["S-5"])["S-5"]
+    place = np.array([[5.0, 5.0]])
+    one, other = (make_prior(model).predict(place)[0] for model in (models["S-5"], again))
+    assert one == pytest.approx(other, abs=0.02)
+
+
+@pytest.mark.parametrize(
+    ("batches", "serials", "said"),
+    [
+        (("41", "41", "42"), 8, "several batches or of none (41, 42)"),
+        (("", ""), 8, "several batches or of none (none stated)"),
+        (("41",), 5, "4 other sensors can be learned from where a sensor is left out, and 5 are needed"),
+    ],
+)
+def test_what_cannot_be_told_of_a_batch_is_said(batches, serials, said, monkeypatch):
+    runs = [SimpleNamespace(serial=f"S-{number}", batch=batch) for number, batch in enumerate(batches)]
+    records = tuple(
+        SimpleNamespace(identity=SimpleNamespace(sensor=SimpleNamespace(serial=f"S-{number}"), run=f"run {number}"))
+        for number in range(serials)
+    )
+    monkeypatch.setattr(batch_of_runs, "choose_runs", lambda *_: (records, ()))
+    with pytest.raises(RefusedError) as refused:
+        batch_of_runs.find_batch(None, RunSelection(), runs)
+    assert said in refused.value.reason
+
+
+def with_batch(gain, sensors=10):
+    """Trials of all ways: with the batch as prior the error of few places falls by a factor."""
+    by_way = made(by_places, sensors)
+    for way in DESIGN.list_batch_ways():
+        without = by_way[replace(way, prior="none")]
+        by_way[way] = {
+            serial: replace(trial, way=way, force_error_N=0.1 + gain * (trial.force_error_N - 0.1))
+            for serial, trial in without.items()
+        }
+    return by_way
+
+
+def test_pairs_say_what_the_batch_changes_with_an_interval_over_the_sensors():
+    points = make_points(with_batch(0.2), DESIGN)
+    changes = {(change.places, change.hold_s, change.transients): change for change in compare_pairs(points)}
+    assert len(changes) == len(DESIGN.list_batch_ways())
+    change = changes[3, 15.0, "predicted"]
+    assert change.change_N == pytest.approx(change.with_N - change.without_N)
+    errors = [0.8 * (trial.force_error_N - 0.1) for trial in made(by_places)[Way(3, 15.0, True)].values()]
+    tail = 2.262 * np.std(errors, ddof=1) / np.sqrt(10)
+    assert change.low_N == pytest.approx(-np.mean(errors) - tail, rel=1e-3)
+    assert change.high_N == pytest.approx(-np.mean(errors) + tail, rel=1e-3)
+
+
+@pytest.mark.parametrize(("gain", "setting"), [(0.0, Way(3, 15.0, True, "batch")), (1.0, Way(6, 30.0, True))])
+def test_the_batch_is_recommended_where_it_saves_places_and_not_where_it_changes_nothing(gain, setting, tmp_path):
+    recommended = choose_way(with_batch(gain), DESIGN, Target(force_error_N=0.15))
+    assert recommended.setting == setting.knobs
+    path = tmp_path / "few.toml"
+    write_stored_recipe(recommended, copy_shipped(DocumentKind.RECIPE, "nine-locations"), DESIGN, path)
+    assert load_recipe(str(path)).value.analysis.prior == setting.prior
+    assert ("cbsr-qa batch model" in path.read_text()) == (setting.prior == "batch")
+
+
+def test_the_page_shows_pairs_and_what_cannot_be_told():
+    by_way = with_batch(0.2)
+    points = tuple(make_points(by_way, DESIGN))
+    recommended = choose_way(by_way, DESIGN, Target())
+    prior = BatchAsPrior(10, "", tuple(compare_pairs(points)))
+    outcome = lay_out_stored(Frontier(False, points, recommended, batch=prior))
+    last = outcome.sections[-1]
+    assert last.title == "The batch as prior"
+    assert len(last.blocks[0].rows) == len(DESIGN.list_batch_ways())
+    assert "adaptive-batch" in last.blocks[1].text
+    drawing = next(block for block in outcome.sections[0].blocks if isinstance(block, Figure)).svg()
+    assert "batch as prior" in drawing
+    untold = replace(outcome.result, batch=BatchAsPrior(4, "4 other sensors can be learned from"))
+    (only,) = lay_out_stored(untold).sections[-1].blocks
+    assert "cannot be told what the batch as prior would have cost: 4 other sensors" in only.text
 
 
 # --- the choice ------------------------------------------------------------------------------------------
