@@ -1,15 +1,29 @@
 """Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
+import re
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from typing import Any, Final
 
 import numpy as np
-from sqlalchemy import Connection, Engine, select
+from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Bound, Outcome
-from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunLine, RunSelection, State, ValueKind
+from cbsr_qa.domain.results.fleet import (
+    ADAPTIVE,
+    FIXED,
+    UNCALIBRATED,
+    CalibrationWay,
+    FleetTable,
+    MetricKey,
+    RunLine,
+    RunSelection,
+    State,
+    ValueKind,
+)
 from cbsr_qa.store.chain.fleet import Figures, Known, check_figures, figures_query
+from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE
 from cbsr_qa.store.chain.run_documents import BETWEEN, JOINED, facts, words
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading
@@ -17,9 +31,10 @@ from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.left_out import with_left_out
 from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts
 from cbsr_qa.store.selected import Conditions, conditions, naming_runs
-from cbsr_qa.store.tables.results import AnalysisRow, MeasurementRow
-from cbsr_qa.store.tables.runs import LoadRow, RunRow
+from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, MeasurementRow
+from cbsr_qa.store.tables.runs import DecisionRow, LoadRow, RunRow
 from cbsr_qa.store.types import time_of_id
+from cbsr_qa.system.json_text import parse_json
 
 _BAD: Final = {str(Outcome.FAIL): State.FAILED, str(Outcome.NOT_MEASURED): State.UNMEASURED}
 #: State of a value by its outcome and its bound.
@@ -31,6 +46,7 @@ _STATES: Final = {
     for bound in Bound
 }
 _EVERY: Final = RunSelection()
+_SEED: Final = re.compile(r'"seed": ?\d+')
 
 
 class Fleet:
@@ -79,6 +95,51 @@ class Fleet:
 
         with reading(self._engine) as connection:
             return naming_runs(connection, conditions(selection), table)
+
+    def read_ways(self, runs: Sequence[str]) -> dict[str, tuple[CalibrationWay, str]]:
+        """Return how the calibration of each run was made, by its configuration and decisions.
+
+        Returns
+        -------
+        The way by run, and the latest calibration that the run issued; empty without one.
+
+        Raises
+        ------
+        StoreError
+            If the database cannot be read, or the configuration of a run.
+        """
+        ways: dict[str, tuple[CalibrationWay, str]] = {}
+        of_content: dict[str, CalibrationWay] = {}  # runs of one recipe differ by their seeds
+        with reading(self._engine) as connection:
+            for first in range(0, len(runs), RUNS_AT_ONCE):
+                some = runs[first : first + RUNS_AT_ONCE]
+                decided = set(connection.scalars(select(DecisionRow.run).where(DecisionRow.run.in_(some)).distinct()))
+                issued = select(CalibrationRow.run, func.max(CalibrationRow.calibration))
+                issued = issued.where(CalibrationRow.run.in_(some)).group_by(CalibrationRow.run)
+                calibrations = {row[0]: row[1] for row in connection.execute(issued)}
+                configurations = select(RunRow.run, RunRow.configuration).where(RunRow.run.in_(some))
+                for run, configuration in connection.execute(configurations):
+                    content = _SEED.sub("", configuration)
+                    if content not in of_content:
+                        of_content[content] = _read_way(run, configuration)
+                    way = of_content[content]
+                    way = replace(way, places=ADAPTIVE) if way.places == FIXED and run in decided else way
+                    ways[run] = way, calibrations.get(run, "")
+        return ways
+
+
+def _read_way(run: str, configuration: str) -> CalibrationWay:
+    """How a run calibrates, by its configuration; StoreError if that is none."""
+    try:
+        content = parse_json(configuration)
+        recipe = content["recipe"]
+        if not recipe.get("recipe", {}).get("calibrate_phases"):
+            return CalibrationWay(UNCALIBRATED)
+        return CalibrationWay(FIXED, content.get("batch_model", {}).get("digest", ""))
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise StoreError(
+            f"the configuration of run {run} cannot be read", remedy="restore the database from a copy"
+        ) from error
 
 
 def _select_runs(connection: Connection, selection: RunSelection, chosen: Conditions | None = None) -> list[str]:

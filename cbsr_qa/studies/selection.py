@@ -4,6 +4,7 @@ import hashlib
 import json
 from collections import Counter
 from collections.abc import Callable, Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import timedelta
 from itertools import pairwise
 from typing import Any, Final
@@ -11,7 +12,7 @@ from typing import Any, Final
 from cbsr_qa.config.merging import canonical_json
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import did_you_mean, prefix_kind
-from cbsr_qa.domain.results.fleet import RunLine, RunSelection
+from cbsr_qa.domain.results.fleet import CalibrationWay, RunLine, RunSelection
 from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.words import echo
@@ -33,6 +34,14 @@ _NAMES: Final = (
     ("operator", "operators", "operator"),
 )
 _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
+
+
+@dataclass(frozen=True, slots=True)
+class WayCount:
+    """A way in which calibrations were made, and the number of runs."""
+
+    way: CalibrationWay
+    runs: int
 
 
 def nearest(name: str, known: Collection[str], there_are: str) -> str:
@@ -123,6 +132,38 @@ def likeness_notes(store: Repository, runs: Sequence[RunLine]) -> tuple[str, ...
             f"{first_run.words}, and at the last, {last_run.words}; a change may be theirs"
         )
     return tuple(notes)
+
+
+def add_ways(store: Repository, runs: Sequence[RunLine]) -> tuple[RunLine, ...]:
+    """Return the runs with how their calibrations were made; the files of those with a batch as prior are read.
+
+    StoreError if a configuration or a calibration cannot be read.
+    """
+    ways = store.fleet.read_ways([run.run for run in runs if not run.altered])
+    return tuple(replace(run, way=_complete_way(store, *ways[run.run])) if run.run in ways else run for run in runs)
+
+
+def _complete_way(store: Repository, way: CalibrationWay, calibration: str) -> CalibrationWay:
+    if not way.batch_model or not calibration:
+        return way
+    from cbsr_qa.calibration.file.hdf5 import calibration_of  # loads what runs without a batch do not need
+
+    file, digest = store.calibrations.load_file(calibration)
+    force = calibration_of(file, issued=digest).force
+    return replace(way, unlike=force is not None and force.batch is not None and not force.batch.alike)
+
+
+def count_ways(runs: Sequence[RunLine]) -> tuple[WayCount, ...]:
+    """Count runs by how their calibrations were made, the most frequent way first."""
+    counts = Counter(run.way for run in runs if run.way is not None)
+    return tuple(WayCount(way, count) for way, count in sorted(counts.items(), key=lambda item: (-item[1], item[0])))
+
+
+def describe_several_ways(ways: Sequence[WayCount]) -> str:
+    """Say that calibrations were made in several ways; empty if they were not."""
+    if len(ways) < 2:
+        return ""
+    return "; ".join(f"{counted.way.words} ({plural(counted.runs, 'run')})" for counted in ways)
 
 
 def several_recipes(recipes: Collection[str]) -> str:

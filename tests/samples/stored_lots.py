@@ -68,9 +68,10 @@ def store_run(repository, serial, measurements, *, batch="golden", recipe="short
     """
     run = repository.new_id()
     recipe_tables = {"recipe": {"name": recipe}, "limits": changes.get("limits", []), **changes.get("tables", {})}
-    configuration = json.dumps({"layout": 1, "seed": day, "recipe": recipe_tables})
+    configuration = json.dumps({"layout": 1, "seed": day, "recipe": recipe_tables, **changes.get("content", {})})
     started, phase, *events = short_run(run, serial)
-    events = [phase, *(event for event in events if event == PhaseFinished(0, 155.0)), events[-1]]
+    finished = [event for event in events if event == PhaseFinished(0, 155.0)]
+    events = [phase, *changes.get("decided", ()), *finished, events[-1]]
     identity = replace(
         started.identity,
         sensor=replace(started.identity.sensor, batch=batch),

@@ -15,6 +15,9 @@ from cbsr_qa.domain.results.measurement import metric_words
 from cbsr_qa.domain.run.run import run_named
 from cbsr_qa.domain.run.states import EndReason
 
+#: Ways to calibrate, see :class:`CalibrationWay`.
+FIXED, ADAPTIVE, UNCALIBRATED = "fixed places", "adaptive", "no calibration"
+
 
 @dataclass(frozen=True, slots=True, order=True)
 class MetricKey:
@@ -88,6 +91,30 @@ class RunSelection:
             )
 
 
+@dataclass(frozen=True, slots=True, order=True)
+class CalibrationWay:
+    """How the calibration of a run was made, whatever its recipe is called.
+
+    Parameters
+    ----------
+    places : ``"fixed places"``, ``"adaptive"`` (each was chosen after the one before it), or ``"no calibration"``.
+    batch_model : digest of the batch's model that was its prior; empty without one.
+    unlike : whether the sensor was not like its batch, so that its map is that of its own loads.
+    """
+
+    places: str
+    batch_model: str = ""
+    unlike: bool = False
+
+    @property
+    def words(self) -> str:
+        """The way in words, with the first characters of the model's digest."""
+        if not self.batch_model:
+            return self.places
+        unlike = ", which the sensor is not like" if self.unlike else ""
+        return f"{self.places} with batch model {self.batch_model[:12]} as prior{unlike}"
+
+
 @dataclass(frozen=True, slots=True)
 class RunLine:
     """One run in a study: its identity and its outcome.
@@ -104,6 +131,7 @@ class RunLine:
     of_check : whether the run is a golden sensor's, made to check its station.
     overridden_to : outcome of the latest override of that analysis; None without one.
     altered : description of what does not match the chain; the run has no outcome then. Empty where nothing does.
+    way : how its calibration was made; None where nobody asked.
     """
 
     run: str
@@ -123,6 +151,7 @@ class RunLine:
     reason: str = ""
     overridden_to: Outcome | None = None
     altered: str = ""
+    way: CalibrationWay | None = None
 
     @property
     def verdict(self) -> Outcome | None:

@@ -19,6 +19,10 @@ _STANDS_OUT: Final = (
     " --without SERIAL"
 )
 _DRIFT: Final = "the {name} drifts over the batch: {drift} from one sensor to the next (p = {p:.2g})"
+_WITH_PRIOR: Final = (
+    "{count} took an earlier model of the batch as prior ({names}): only their presses count here, not the maps "
+    "learned with it; short ones are predicted with that model's relaxation, relaxation is taken from other runs"
+)
 _LEFT_OUT: Final = "{count} left out: {runs}"
 _WIDE: Final = "the interval is wide: more sensors, rather than more presses, narrow it"
 _WIDE_FROM: Final = 0.5
@@ -90,6 +94,9 @@ def _list_warnings(study: BatchStudy) -> Iterator[str]:
             yield _DRIFT.format(name=quantity.name, drift=_amount(quantity.drift, quantity.unit), p=quantity.drift_p)
     if study.rho.high - study.rho.low > _WIDE_FROM:
         yield _WIDE
+    with_prior = [sensor.serial for sensor in study.sensors if sensor.prior]
+    if with_prior:
+        yield _WITH_PRIOR.format(count=plural(len(with_prior), "run"), names=list_names(with_prior))
     if study.left_out:
         runs = list_names([f"{run.serial} ({run.why})" for run in study.left_out])
         yield _LEFT_OUT.format(count=plural(len(study.left_out), "run"), runs=runs)

@@ -5,6 +5,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from cbsr_qa.analysis.run.compensation import LONG
 from cbsr_qa.analysis.run.force import RunForce, learn_without_tests
 from cbsr_qa.analysis.run.long_holds import LongHolds, long_holds
 from cbsr_qa.analysis.run.observe import observe_run
@@ -31,17 +32,22 @@ class StoredSensor:
     ----------
     loads : what its map is learned from.
     settling_s : settling times of its calibration, by signal and whether after a press.
-    holds : its longest holds; None where they are not known.
+    holds : its longest holds; None where they are not known, or are shorter than those of the batch's relaxation
+        that the run borrowed: they say nothing of it.
+    prior : digest of the batch's model that the run took as prior; empty without one.
     """
 
     record: RunRecord
     loads: SensorLoads
     settling_s: dict[tuple[str, bool], float]
     holds: LongHolds | None = None
+    prior: str = ""
 
 
 def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
     """Learn what a run says about its sensor.
+
+    The response is that of each press by itself: a prior that the run had for its map has no part in it.
 
     Raises
     ------
@@ -54,7 +60,15 @@ def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
     )
     observation = observe_run(record, method, recipe.analysis, over_time=False)
     loads = map_loads(observation, learn_without_tests(observation))
-    return StoredSensor(record, loads, _load_settling(store, record), long_holds(observation))
+    holds, prior = long_holds(observation), recipe.analysis.batch
+    has_borrowed = prior is not None and prior.relaxation and holds.hold_s < LONG * prior.relaxation.hold_s
+    return StoredSensor(
+        record,
+        loads,
+        _load_settling(store, record),
+        None if has_borrowed else holds,
+        "" if prior is None else prior.digest,
+    )
 
 
 def map_loads(run: RunObservation, force: RunForce) -> SensorLoads:

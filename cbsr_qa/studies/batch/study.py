@@ -16,7 +16,7 @@ from cbsr_qa.calibration.batch.prior import Likeness
 from cbsr_qa.calibration.batch.sensor_map import BatchMap
 from cbsr_qa.config.merging import canonical_json
 from cbsr_qa.config.paths import database_url
-from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.batch_model import KeptRelaxation
 from cbsr_qa.domain.sensor.sensor_type import SensorType
@@ -52,6 +52,8 @@ class SensorOfBatch:
     p_value : probability that a sensor like the others has an evidence as low.
     log_evidence : logarithm of the Bayes factor of "like the others" over "of another batch".
     stands_out : whether p, adjusted for all sensors (Holm), is below 0.05.
+    prior : digest of the batch's model that its run took as prior; empty without one. The loads are single presses
+        all the same, without the map that was learned with it.
     """
 
     serial: str
@@ -64,6 +66,7 @@ class SensorOfBatch:
     p_value: float
     log_evidence: float
     stands_out: bool
+    prior: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -161,7 +164,8 @@ def study_batch(
     Raises
     ------
     RefusedError
-        As :func:`~cbsr_qa.studies.batch.choice.choose_runs`.
+        As :func:`~cbsr_qa.studies.batch.choice.choose_runs`; or if all runs have borrowed their relaxation from a
+        model.
     """
     with open_store(database_url(database), create=False) as store:
         sensors, left_out = _observe_runs(store, choice, stage, count)
@@ -220,6 +224,11 @@ def _observe_runs(
             silent.append(LeftOutRun(record.identity.sensor.serial, record.identity.run, error.reason))
         count(number + 1, len(records))
     refuse_few(len(sensors), (*left_out, *silent), choice)
+    if all(sensor.prior and sensor.holds is None for sensor in sensors):
+        raise RefusedError(
+            "every run took how loads relax from an earlier model of the batch: none has measured it",
+            remedy="test a sensor of the batch with a recipe that has long holds, such as adaptive",
+        )
     return sensors, (*left_out, *silent)
 
 
@@ -245,6 +254,7 @@ def _describe_sensors(
             p_value=likeness.p_value,
             log_evidence=likeness.log_evidence,
             stands_out=bool(p_value < STANDS_OUT),
+            prior=sensor.prior,
         )
 
 

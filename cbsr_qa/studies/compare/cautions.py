@@ -15,7 +15,7 @@ from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.studies.compare.groups import NO_BATCH, Design, Grouping
 from cbsr_qa.studies.compare.models import Fitted
 from cbsr_qa.studies.compare.terms import By, Terms
-from cbsr_qa.studies.selection import software_words
+from cbsr_qa.studies.selection import count_ways, describe_several_ways, software_words
 
 _DAY: Final = timedelta(days=1)
 #: One batch is tested within this time; otherwise a clock is wrong.
@@ -83,6 +83,8 @@ def cautions(
         if len(counts) > 1:
             shares = "; ".join(f"{name} ({plural(count, 'run')})" for name, count in counts)
             yield _MIXED.format(what=mixed_kind, shares=shares)
+    if several := describe_several_ways(count_ways(members)):
+        yield _MIXED.format(what="ways to calibrate", shares=several)
     clocks = [*_from_the_future(members, now), *_out_of_order(members)]
     clocks += [*_unlike_identifiers(members), *_far_from_others(members)]
     yield from clocks

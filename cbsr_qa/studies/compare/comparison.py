@@ -33,7 +33,7 @@ from cbsr_qa.studies.compare.groups import Design, Grouping, choose_reference, d
 from cbsr_qa.studies.compare.models import Fitted, fit_model, include_sessions
 from cbsr_qa.studies.compare.terms import Adjustment, By, Policy, Quarantine, Terms
 from cbsr_qa.studies.compare.values import MetricValues, values_of
-from cbsr_qa.studies.selection import check_names, missing_metric_error
+from cbsr_qa.studies.selection import WayCount, add_ways, check_names, count_ways, missing_metric_error
 
 #: The common error of all places of a grid comes from seating the disc and from the axes: the station, not the
 #: sensor.
@@ -79,6 +79,7 @@ class Comparison:
     compared : whether any difference could be estimated.
     metrics : difference in each metric for each other group; one entry without a group if a metric is not compared.
     of_metrics : the same differences, metric by metric, with data for plots.
+    ways : how the calibrations of the runs were made.
     headline, sentences, rules : filled in by :func:`cbsr_qa.studies.compare.report.compare_outcome`.
     """
 
@@ -96,6 +97,7 @@ class Comparison:
     stations: tuple[StationDifference, ...]
     distributions: tuple[Distribution, ...]
     warnings: tuple[str, ...]
+    ways: tuple[WayCount, ...]
     terms: Annotated[InstanceOf[Terms], Field(exclude=True)]
     of_metrics: Annotated[tuple[InstanceOf[MetricComparison], ...], Field(exclude=True)]
     headline: str = ""
@@ -150,7 +152,7 @@ def compare_groups(selection: RunSelection, terms: Terms, *, database: str | Non
         table = store.fleet.load_table(selection)
         if not table.runs:
             check_names(store, selection)
-        return compare(table, terms, now)
+        return compare(replace(table, runs=add_ways(store, table.runs)), terms, now)
 
 
 @contextmanager
@@ -209,6 +211,7 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
         stations=tuple(chain.from_iterable(metric.stations for metric in metrics)),
         distributions=tuple(chain.from_iterable(metric.distributions for metric in metrics)),
         warnings=(*reference_notes, *cautions(members, grouping, design, models, terms, now)),
+        ways=count_ways(members),
         terms=terms,
         of_metrics=tuple(metrics),
     )

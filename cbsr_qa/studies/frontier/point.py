@@ -169,7 +169,7 @@ class BatchAsPrior:
     Parameters
     ----------
     sensors : sensors that a model can be learned from.
-    why : why it cannot be told what the prior would have cost; empty if it can.
+    why : why what the prior would have cost is not known; empty if it is.
     changes : its effect on each way.
     """
 

@@ -25,7 +25,17 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.gauge.metrics import Toleranced, choose_metrics
 from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
 from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource
-from cbsr_qa.studies.selection import absent_names, check_names, clock_notes, likeness_notes, several_recipes
+from cbsr_qa.studies.selection import (
+    WayCount,
+    absent_names,
+    add_ways,
+    check_names,
+    clock_notes,
+    count_ways,
+    describe_several_ways,
+    likeness_notes,
+    several_recipes,
+)
 
 
 def appraiser_of(line: RunLine, kind: str) -> str:
@@ -126,6 +136,7 @@ class GaugeStudy:
     ----------
     study : file of the study; None for options.
     since, until : first and last day of the runs, UTC, as requested.
+    ways : how the calibrations of the runs were made.
     """
 
     study: StudySource | None
@@ -141,6 +152,7 @@ class GaugeStudy:
     appraisers: tuple[str, ...]
     runs: tuple[str, ...]
     simulated: bool
+    ways: tuple[WayCount, ...]
     notes: tuple[str, ...]
     metrics: tuple[MetricGauge, ...]
 
@@ -157,7 +169,10 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
     with open_store(database_url(database), create=False) as store:
         table, lines, notes = choose_runs(store, request)
         chosen_metrics = choose_metrics(table, request, lines)
+        ways = count_ways(add_ways(store, lines))
         notes += likeness_notes(store, lines)
+    if several := describe_several_ways(ways):
+        notes += (f"calibrations were made in several ways, which a scatter may come from: {several}",)
     metrics = tuple(_metric(toleranced, request) for toleranced in chosen_metrics)
     sensors = tuple(sorted({line.serial for line in lines}))
     _check_any(metrics, sensors, largest_balanced=request.largest_balanced)
@@ -173,6 +188,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         appraisers=tuple(sorted({appraiser_of(line, request.appraiser) for line in lines})),
         runs=tuple(line.run for line in lines),
         simulated=bool(lines[-1].simulated),
+        ways=ways,
         notes=notes,
         metrics=metrics,
     )

@@ -24,6 +24,7 @@ from cbsr_qa.studies.batch.sensors import StoredSensor
 PASSED = Verdict(Outcome.PASS, "in the test")
 MEASURED = (Measurement("drift", 0.1, "%/min"),)
 SETTLING = ("conductance", True)
+MODEL = "a" * 64
 
 
 def run_of(number, **options):
@@ -39,13 +40,15 @@ def observed(monkeypatch):
 
     class Observed:
         odd = silent = None
+        with_prior = ()
 
         def __call__(self, store, record):
             number = int(record.identity.sensor.serial[2:])
             if number == self.silent:
                 raise NumericsError("no load was pressed alone")
             loads = strange if number == self.odd else sensors[number]
-            return StoredSensor(record, loads, {SETTLING: 20.0 + number + random.standard_normal() / 10})
+            settling = {SETTLING: 20.0 + number + random.standard_normal() / 10}
+            return StoredSensor(record, loads, settling, None, MODEL if number in self.with_prior else "")
 
     observe = Observed()
     monkeypatch.setattr(study, "observe_sensor", observe)
@@ -149,6 +152,19 @@ def test_runs_that_do_not_count_are_named(database, observed, model):
         "B-08": "it is not under a chain: nobody would notice if it were changed",
     }
     assert later[0] in {sensor["run"] for sensor in found["sensors"]}
+
+
+def test_runs_that_had_the_batch_as_prior_are_named(database, observed, model, run_in_words):
+    observed.with_prior = (1, 4)
+    found = model(database)
+    assert [sensor["prior"] for sensor in found["sensors"]] == ["", MODEL, "", "", MODEL, ""]
+    _, out, _ = run_in_words("batch", "model", "--batch", "41", "--database", database)
+    assert "2 runs took an earlier model of the batch as prior (B-01, B-04): only their presses count" in out
+
+
+def test_a_batch_whose_relaxation_nobody_measured_is_refused(database, observed, refused):
+    observed.with_prior = range(6)
+    assert "every run took how loads relax from an earlier model of the batch" in refused(database)
 
 
 def test_four_sensors_are_refused_with_those_left_out(tmp_path, observed, refused):

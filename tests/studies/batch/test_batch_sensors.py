@@ -1,8 +1,11 @@
 """What a run says about its sensor for the batch: the loads that its own map was learned from."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from batches import place_sunflower
+from kept_batches import keep_sample
 from simulated_runs import observed_run, simulated_run
 
 from cbsr_qa.analysis.run.force import learn_without_tests
@@ -28,3 +31,10 @@ def test_the_map_of_the_loads_is_the_run_s_own():
     for ours, own in zip(found.predict(there), force.learned.response.predict(there), strict=True):
         assert ours == pytest.approx(own, rel=1e-9, abs=1e-12)
     assert np.isfinite(loads.log_response).all()
+    # A prior that the run had for its map has no part in them.
+    on_batch = replace(run, settings=replace(run.settings, prior="batch", batch=keep_sample()))
+    with_prior = learn_without_tests(on_batch)
+    assert with_prior.learned.model.batch is not None
+    again = map_loads(on_batch, with_prior)
+    np.testing.assert_array_equal(again.log_response, loads.log_response)
+    np.testing.assert_array_equal(again.variance, loads.variance)

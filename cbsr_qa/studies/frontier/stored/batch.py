@@ -1,7 +1,7 @@
 """The batch as prior of stored runs: for each sensor, the model of the other sensors of its batch alone."""
 
 from collections.abc import Callable, Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Final
 
@@ -9,7 +9,7 @@ from cbsr_qa.calibration.batch.kept import keep_loads, keep_members, make_loads
 from cbsr_qa.calibration.batch.left_out import find_posteriors
 from cbsr_qa.calibration.batch.model import learn_batch, thin
 from cbsr_qa.calibration.batch.posterior import Posterior
-from cbsr_qa.config.merging import BATCH_LAYOUT
+from cbsr_qa.config.merging import BATCH_LAYOUT, digest_batch_model
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.batch_model import KeptBatch, KeptSensor
 from cbsr_qa.domain.results.fleet import RunLine, RunSelection
@@ -110,7 +110,7 @@ def learn_others(
     posteriors = [posterior for _, posterior in find_posteriors(model)]
 
     def keep(others: Sequence[KeptSensor], posterior: Posterior) -> KeptBatch:
-        return KeptBatch(
+        kept = KeptBatch(
             layout=BATCH_LAYOUT,
             digest=digest_runs([(sensor.run, sensor.chain_head) for sensor in others]),
             content_sha256="",
@@ -122,6 +122,7 @@ def learn_others(
             sensors=tuple(others),
             members=keep_members(*thin(posterior, _MEMBERS)),
         )
+        return replace(kept, content_sha256=digest_batch_model(asdict(kept)))
 
     models = {
         sensor.serial: keep([*sensors[:number], *sensors[number + 1 :]], posterior)

@@ -56,11 +56,11 @@ def lay_out_stored(frontier: Frontier) -> CommandOutcome[Frontier]:
 
 
 def _describe_batch(frontier: Frontier) -> Iterator[Block]:
-    """What the batch changes about each way, and what cannot be told."""
+    """What the batch changes about each way, and what is not known."""
     prior = frontier.batch
     assert prior is not None
     if prior.why:
-        yield Paragraph(f"It cannot be told what the batch as prior would have cost: {prior.why}.", "note")
+        yield Paragraph(f"What the batch as prior would have cost is not known: {prior.why}.", "note")
         return
     columns = ("places", "hold [s]", "transients", "without [N]", "with the batch [N]", "change [N]")
     rows = [

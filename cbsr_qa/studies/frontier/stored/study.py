@@ -97,13 +97,12 @@ def study_stored(
         why = explain_few_others([sensor.serial for sensor in sensors], runs)
     if batch is not None and not why:
         models = learn_others(batch, sensors, [run.serial for run in runs])
-        trials += compute.collect(
-            StoredTrial,
-            [
-                (f"{run.run}/{models[run.serial].digest}", run.words, plan_trial(url, run.run, models[run.serial]))
-                for run in runs
-            ],
-        )
+        with_models = [(run, models[run.serial]) for run in runs]
+        work = [
+            (f"{run.run}/{model.content_sha256}", run.words, plan_trial(url, run.run, model))
+            for run, model in with_models
+        ]
+        trials += compute.collect(StoredTrial, work)
     by_way = _group_trials(trials, design, with_batch=not why)
     points = tuple(make_points(by_way, design))
     prior = BatchAsPrior(len(sensors), why, tuple(compare_pairs(points)))

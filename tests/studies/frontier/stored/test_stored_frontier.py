@@ -191,7 +191,7 @@ def test_a_sensor_has_no_part_in_the_model_that_it_is_tried_with():
         (("41",), 5, "4 other sensors can be learned from where a sensor is left out, and 5 are needed"),
     ],
 )
-def test_what_cannot_be_told_of_a_batch_is_said(batches, serials, said, monkeypatch):
+def test_why_a_batch_is_no_prior_is_said(batches, serials, said, monkeypatch):
     runs = [SimpleNamespace(serial=f"S-{number}", batch=batch) for number, batch in enumerate(batches)]
     records = tuple(
         SimpleNamespace(identity=SimpleNamespace(sensor=SimpleNamespace(serial=f"S-{number}"), run=f"run {number}"))
@@ -237,7 +237,7 @@ def test_the_batch_is_recommended_where_it_saves_places_and_not_where_it_changes
     assert ("cbsr-qa batch model" in path.read_text()) == (setting.prior == "batch")
 
 
-def test_the_page_shows_pairs_and_what_cannot_be_told():
+def test_the_page_shows_pairs_and_what_is_not_known():
     by_way = with_batch(0.2)
     points = tuple(make_points(by_way, DESIGN))
     recommended = choose_way(by_way, DESIGN, Target())
@@ -251,7 +251,7 @@ def test_the_page_shows_pairs_and_what_cannot_be_told():
     assert "batch as prior" in drawing
     untold = replace(outcome.result, batch=BatchAsPrior(4, "4 other sensors can be learned from"))
     (only,) = lay_out_stored(untold).sections[-1].blocks
-    assert "cannot be told what the batch as prior would have cost: 4 other sensors" in only.text
+    assert "the batch as prior would have cost is not known: 4 other sensors" in only.text
 
 
 # --- the choice ------------------------------------------------------------------------------------------
