@@ -19,7 +19,7 @@ from cbsr_qa.domain.run.run import (
     RunStarted,
     StepStarted,
 )
-from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.states import SECOND_SIGNAL, EndReason
 from cbsr_qa.plugin.instruments import GuidedApplicator
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.control.desk import ControlDesk
@@ -61,7 +61,7 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
     if before is not None:
         reason, detail = before
         if isinstance(error, AbortedError | KeyboardInterrupt):
-            return reason, f"{detail}; {at_once or 'a second signal'} ended it at once"
+            return reason, f"{detail}; {at_once or SECOND_SIGNAL} ended it at once"
         return reason, f"{detail}; lifting the head failed: {_what(error)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
         stopper = error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"

@@ -11,6 +11,7 @@ from contextlib import contextmanager, suppress
 from types import FrameType
 from typing import Any, Final, Self
 
+from cbsr_qa.domain.run.states import EMERGENCY, SECOND_SIGNAL
 from cbsr_qa.system.redelivery import Redelivery
 
 #: Signals that end a run. Ctrl-Z and Ctrl-\ would suspend or kill the program with the head down. Windows knows two.
@@ -164,7 +165,7 @@ class Interrupts:
         if self._first is None:
             self._stop_in_order(signal.Signals(number), name)
         elif self._heard_now:
-            self._stop_at_once(name, "a second signal")
+            self._stop_at_once(name, SECOND_SIGNAL)
 
     def _hear_asked(self) -> None:
         while not (self._masked or self.urgent_by):
@@ -174,7 +175,7 @@ class Interrupts:
                 return
             if at_once:
                 self._first = asker if self._first is None else self._first
-                self._stop_at_once(_INSISTED.format(asker), f"an emergency stop by {asker}")
+                self._stop_at_once(_INSISTED.format(asker), EMERGENCY.format(asker))
             elif self._first is None:
                 self._stop_in_order(asker, _ASKED.format(asker))
 

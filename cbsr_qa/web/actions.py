@@ -1,4 +1,4 @@
-"""Actions of an operator: check a sensor, start, resume, pause, continue, stop, answer.
+"""Actions of an operator: check a sensor, start, resume, confirm the bench, pause, continue, stop, answer.
 
 Every text of a form is checked by the rules of the command line before anything is done with it.
 """
@@ -6,6 +6,7 @@ Every text of a form is checked by the rules of the command line before anything
 import asyncio
 import unicodedata
 from collections.abc import Awaitable, Callable
+from contextlib import suppress
 from typing import Any
 
 from starlette.concurrency import run_in_threadpool
@@ -13,6 +14,7 @@ from starlette.responses import JSONResponse, Response
 
 from cbsr_qa.config.serials import validate_operator, validate_reason
 from cbsr_qa.domain.errors import CbsrError, RefusedError
+from cbsr_qa.web.confirmations import confirm_bench, needs_confirmation
 from cbsr_qa.web.gate import check_pin, gate_view, has_pin
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
@@ -35,7 +37,11 @@ _DONE = {
 
 
 class Actions:
-    """Answers to forms, in JSON: ``parts`` of the page to replace, and ``words`` to say."""
+    """Answers to forms, in JSON.
+
+    ``parts`` of the page to replace, ``fields`` to fill in, ``words`` to say, and ``done``: words that go once the
+    station shows that it is done.
+    """
 
     def __init__(self, line: Line, pages: Pages) -> None:
         self._line, self._pages = line, pages
@@ -45,20 +51,37 @@ class Actions:
     def list_actions(self) -> dict[str, Action]:
         """Return the actions of a station by the last part of their address."""
         channel_actions = {do: self._make_request(do) for do in _DONE}
-        form_actions = {"check": self.check, "start": self.start, "resume": self.resume, "answer": self.answer}
+        form_actions = {
+            "check": self.check,
+            "leave": self.leave,
+            "start": self.start,
+            "resume": self.resume,
+            "confirm": self.confirm,
+            "answer": self.answer,
+        }
         return {name: self._word_refusals(action) for name, action in (channel_actions | form_actions).items()}
 
     async def check(self, station: str, form: dict[str, str]) -> Response:
         """Say whether a sensor may be tested, and offer to start."""
         watch = self._line.stations[station]
-        if not form.get("serial"):
+        scanned = form.get("serial", "")
+        if not scanned:
             raise RefusedError(text("station.no_sensor_asked"))
+        if any(scanned == operator.name for operator in watch.served.station.gate.operators):
+            words = text("gate.badge", operator=scanned)
+            return _json_answer(fields={"operator": scanned, "serial": ""}, words=words)
         start_form = StartForm.from_form(watch.served, form)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
         gate = ["gate", self._pages.gate(station, start_form, view)]
-        # An interrupted run stays on the page, with its warning, until it is resumed or another run begins.
-        is_interrupted = watch.snapshot is not None and watch.snapshot.mode is Mode.INTERRUPTED
-        return _json_answer(parts=[gate] if is_interrupted else [gate, ["verdict", ""]])
+        # A run that was cut off stays on the page, with its warning, until it is resumed or another run begins.
+        if watch.snapshot is not None and watch.snapshot.mode in (Mode.INTERRUPTED, Mode.UNSAFE):
+            return _json_answer(parts=[gate])
+        return _json_answer(parts=[gate, ["state", self._pages.scanned(station, start_form, view)], ["verdict", ""]])
+
+    async def leave(self, station: str, form: dict[str, str]) -> Response:
+        """Show the station as before a scan: the sensor is not tested now."""
+        parts = [["gate", ""], *self._pages.idle_parts(station)]
+        return _json_answer(parts=parts, fields={"serial": ""})
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run, or show why the gate refuses it."""
@@ -68,11 +91,11 @@ class Actions:
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database, with_pin=True)
         if view.pin_is_right:
             self._pins.accept(guesser)
-        if not view.may:
+        if not view.may or view.asks_again != start_form.again:
             return _json_answer(parts=[["gate", self._pages.gate(station, start_form, view)]])
         arguments = start_form.arguments(watch.served, self._line.database)
         await self._begin(station, arguments, start_form.serial, start_form.pin)
-        return _json_answer(words=text("station.started", serial=start_form.serial))
+        return _json_answer(done=text("station.started", serial=start_form.serial))
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
         """Resume the latest run of the station."""
@@ -87,7 +110,20 @@ class Actions:
         self._pins.accept(guesser)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
         await self._begin(station, arguments, look.serial, pin)
-        return _json_answer(words=text("station.resumed"))
+        return _json_answer(done=text("station.resumed"))
+
+    async def confirm(self, station: str, form: dict[str, str]) -> Response:
+        """Take an operator's word that the bench is safe after an emergency stop or a fault."""
+        look = self._line.stations[station].look
+        by = validate_operator(form.get("operator", ""))
+        if not by:
+            raise RefusedError(text("confirm.no_name"))
+        if look is None or look.run != form.get("run"):
+            raise RefusedError(text("problem.no_run"))
+        if needs_confirmation(look):
+            await run_in_threadpool(confirm_bench, look, by)
+        self._line.wake(station)
+        return _json_answer(done=text("confirm.done", by=by))
 
     async def count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
         """Count a PIN as a guess; return whose it is (station, operator). TooManyGuessesError if it has to wait.
@@ -106,6 +142,8 @@ class Actions:
         async with self._beginning[station]:  # if two people start at once, the second is refused
             if watch.busy:
                 raise RefusedError(text("station.busy"))
+            if watch.look is not None and needs_confirmation(watch.look):
+                raise RefusedError(text("confirm.first"))
             watch.started = await run_in_threadpool(start_run, station, arguments, serial, pin)
         self._line.wake(station)
 
@@ -116,16 +154,27 @@ class Actions:
         if not (number.isascii() and number.isdigit() and len(number) < 10):
             raise RefusedError(text("prompt.other"))
         answer = validate_reason(form.get("text", ""))
-        refusal = await channel.ask("answer", by=text("control.at_the_page"), prompt=int(number), text=answer)
-        return _json_answer(words=refusal or text("control.answered"))
+        refusal = await channel.ask("answer", by=self._asker(station, form), prompt=int(number), text=answer)
+        return _json_answer(words=refusal) if refusal else _json_answer(done=text("control.answered"))
 
     def _make_request(self, do: str) -> Action:
         async def tell(station: str, form: dict[str, str]) -> Response:
-            refusal = await self._line.stations[station].channel.ask(do, by=text("control.at_the_page"))
-            LOG.info("%s: %s asked for%s", station, do, f", refused: {refusal}" if refusal else "")
-            return _json_answer(words=refusal or text(_DONE[do]))
+            by = self._asker(station, form)
+            refusal = await self._line.stations[station].channel.ask(do, by=by)
+            LOG.info("%s: %s asked for by %s%s", station, do, by, f", refused: {refusal}" if refusal else "")
+            return _json_answer(words=refusal) if refusal else _json_answer(done=text(_DONE[do]))
 
         return tell
+
+    def _asker(self, station: str, form: dict[str, str]) -> str:
+        """Return who asks: the operator of that browser, else somebody beside the operator of the run."""
+        watch = self._line.stations[station]
+        look, control = watch.look, watch.channel.control
+        with suppress(CbsrError):  # a name that is not allowed must not keep anybody from an emergency stop
+            if by := validate_operator(form.get("by", "")):
+                return by
+        named = look.operator if look is not None and control is not None and look.run == control.run else ""
+        return text("control.somebody", operator=named) if named else text("control.at_the_page")
 
     def _word_refusals(self, action: Action) -> Action:
         async def answer_in_words(station: str, form: dict[str, str]) -> Response:

@@ -28,7 +28,7 @@ from cbsr_qa.web.texts import refusal_words, text
 
 _KINDS: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml", "png": "image/png"}
 #: Files of the package that are served, read once.
-_STATIC: Final = ("line.css", "line.js", "icon.svg", "none.png")
+_STATIC: Final = ("line.css", "line.js", "sound.js", "icon.svg", "none.png")
 T = TypeVar("T")
 _RUN: Final = re.compile(r"[0-9a-f-]{36}")
 

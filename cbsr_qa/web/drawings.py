@@ -1,9 +1,10 @@
 """Drawings of a live page: the image as a PNG of palette colours, traces as points of an SVG line."""
 
 import io
-from collections.abc import Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass
-from math import ceil, floor, log10
+from itertools import combinations
+from math import ceil, dist, floor, log10
 from typing import Any, Final, Self
 
 import numpy as np
@@ -17,7 +18,8 @@ from cbsr_qa.report.draw.style import CHANGE_MAP
 #: Size of a trace's drawing, in its own units.
 WIDTH: Final = 480.0
 HEIGHT: Final = 110.0
-
+#: Largest mark of a place, as part of the sheet's longer side.
+_PLACE_R: Final = 0.045
 
 #: Palette of an image: 255 colours of the scale, and one that is transparent.
 _PALETTE: Final = np.round(255 * np.asarray(CHANGE_MAP(np.linspace(0, 1, 255)))[:, :3]).astype(
@@ -97,6 +99,7 @@ class SheetDrawing:
     ----------
     outline : path of its edge.
     x, y, width, height : box around the sheet, which an image of it fills [mm].
+    place_r : radius of the mark of a place.
     """
 
     view_box: str
@@ -108,14 +111,19 @@ class SheetDrawing:
     electrodes: tuple[tuple[float, float], ...]
     electrode_r: float
     head_r: float
+    place_r: float
 
     @classmethod
-    def from_sensor_type(cls, sensor_type: SensorType, indenter: Indenter) -> Self:
+    def from_sensor_type(
+        cls, sensor_type: SensorType, indenter: Indenter, places_mm: Collection[tuple[float, float]] = ()
+    ) -> Self:
+        """Draw a sheet, with marks of places that do not touch each other."""
         low_x, high_x, low_y, high_y = sensor_type.outline.extent_mm
         width, height = high_x - low_x, high_y - low_y
         margin = 0.04 * max(width, height)
         corners = " L".join(f"{x:.2f} {-y:.2f}" for x, y in sheet_path(sensor_type.outline))
         places = [(round(float(x), 2), round(-float(y), 2)) for x, y in sensor_type.electrodes.positions_mm()]
+        nearest_mm = [0.45 * dist(one, other) for one, other in combinations(places_mm, 2)]
         box = (low_x - margin, -high_y - margin, width + 2 * margin, height + 2 * margin)
         return cls(
             view_box=" ".join(f"{value_mm:.2f}" for value_mm in box),
@@ -127,6 +135,7 @@ class SheetDrawing:
             electrodes=tuple(places),
             electrode_r=round(0.012 * max(width, height), 2),
             head_r=round(indenter.radius_mm, 2),
+            place_r=round(min([_PLACE_R * max(width, height), *nearest_mm]), 2),
         )
 
 

@@ -1,14 +1,19 @@
 """Answers of the gate on a sensor before its run, as the page shows them."""
 
+from contextlib import nullcontext
 from dataclasses import dataclass
 
 from cbsr_qa.app.gate.people import asks_pin, is_pin_of
 from cbsr_qa.app.run.preview import preview_gate
 from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.config.loader import load_station
+from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck
+from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
+from cbsr_qa.store.opening import open_existing
+from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.texts import text
@@ -23,11 +28,21 @@ class GateView:
     may : whether the run may begin.
     asks_pin : whether it begins only with the PIN of the operator.
     answers : answers of the gate that are shown.
+    earlier : latest run of the sensor with the recipe; None before its first.
+    runs : number of all runs of the sensor.
     """
 
     may: bool
     asks_pin: bool
     answers: tuple[GateAnswer, ...]
+    earlier: RunLook | None = None
+    runs: int = 0
+
+    @property
+    def asks_again(self) -> str:
+        """The earlier run, if it has a result: another test needs a person's consent; else empty."""
+        earlier = self.earlier
+        return "" if earlier is None or (earlier.verdict is None and not earlier.altered) else earlier.run
 
     @property
     def pin_is_right(self) -> bool:
@@ -65,7 +80,17 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     result = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
     quiet_outcomes = (GateOutcome.PASSED, GateOutcome.OFF)
     answers = tuple(answer for answer in result.answers if answer.outcome not in quiet_outcomes)
-    return GateView(result.refused is None, result.asks_pin, answers)
+    earlier, runs = _read_earlier(database, wanted)
+    return GateView(result.refused is None, result.asks_pin, answers, earlier, runs)
+
+
+def _read_earlier(database: str | None, wanted: StartForm) -> tuple[RunLook | None, int]:
+    """Return the latest run of the sensor with the recipe, and the number of all its runs."""
+    with open_existing(database_url(database)) or nullcontext() as store:
+        if store is None:
+            return None, 0
+        earlier = store.live.find_latest_of_sensor(wanted.serial, wanted.recipe.name)
+        return earlier, store.lists.count_runs(RunSelection(serials=(wanted.serial,)))
 
 
 def has_pin(served: ServedStation, operator: str) -> bool:

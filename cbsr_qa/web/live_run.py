@@ -56,6 +56,8 @@ class LiveView:
 
     Parameters
     ----------
+    place_number, planned_places : number of the place under the head or next, counted from 1, and of all places; 0
+        outside the grid, and in a grid that presses a place more than once.
     frame : number of the imaged frame, in the address of its picture; 0 without one.
     change_percent : change at the dark end of the scale; 0 without an image.
     force_N, conductance_percent : points (time_s, value) of the last :data:`TRACE_S`; the conductance relative to the
@@ -71,6 +73,8 @@ class LiveView:
     loads_done: int
     loads_planned: int
     places: tuple[Place, ...]
+    place_number: int
+    planned_places: int
     frame: int
     change_percent: float
     force_N: tuple[tuple[float, float], ...]
@@ -93,8 +97,10 @@ class LiveRun:
         self._store, self._plugins = store, plugins
         self.configuration: Configuration = restore(store.runs.read_configuration(run))
         self._schedule: tuple[ScheduledPhase, ...] = schedule(plan_of(self.configuration, plugins))
+        self._planned = _plan_places(self._schedule)
+        places_mm = {(step.load.x_mm, step.load.y_mm) for _, _, step in self._planned}
         self._sheet = SheetDrawing.from_sensor_type(
-            self.configuration.sensor_type, self.configuration.station.indenter
+            self.configuration.sensor_type, self.configuration.station.indenter, places_mm
         )
         self._tail: RunTail | None = None
         self._preview: LivePreview | None = None
@@ -140,13 +146,16 @@ class LiveRun:
         tail = self._tail
         phases = () if tail is None else tail.phases
         current = phases[-1].index if phases else 0
+        places = self._places(current, pressed)
         return LiveView(
             sheet=self._sheet,
             phases=phases,
             planned_phases=len(self._schedule),
             loads_done=0 if tail is None else len(tail.loads),
             loads_planned=sum(phase.loads if phase.goal is None else phase.goal.at_most for phase in self._schedule),
-            places=tuple(self._places(current, pressed)),
+            places=tuple(places),
+            place_number=_number_place(places) if phases and phases[-1].role is Role.GRID else 0,
+            planned_places=len(places),
             frame=self._frames if self.picture else 0,
             change_percent=100 * self._change,
             force_N=thin_trace(self._force),
@@ -161,20 +170,13 @@ class LiveRun:
         )
 
     def _places(self, current: int, pressed: str) -> list[Place]:
-        grid = next((phase for phase in self._schedule if phase.role is Role.GRID), None)
-        if grid is None:
-            return []
-        presses = [step for step in grid.steps if isinstance(step.step, Press) and step.load is not None]
         return [
             Place(
-                step.step.load,
-                self._seen.get((grid.index, step.load)),
-                current == grid.index
-                and (grid.index, step.load) not in self._seen
-                and step.step.load.label == pressed,
+                press.load,
+                self._seen.get((phase, load)),
+                current == phase and (phase, load) not in self._seen and press.load.label == pressed,
             )
-            for step in presses
-            if isinstance(step.step, Press) and step.load is not None
+            for phase, load, press in self._planned
         ]
 
     def _take_frames(self, tail: RunTail) -> None:
@@ -242,6 +244,26 @@ class LiveRun:
                 steady_frames = self._store.live.read_frames(self.run, phase, start_s, record.release_start_s)
                 if steady_frames is not None:
                     self._seen[key] = preview.place(record.load, steady_frames)
+
+
+def _plan_places(phases: Sequence[ScheduledPhase]) -> list[tuple[int, int, Press]]:
+    """Return the presses of the first grid with their phase and load; none without a grid."""
+    grid = next((phase for phase in phases if phase.role is Role.GRID), None)
+    if grid is None:
+        return []
+    return [
+        (grid.index, step.load, step.step)
+        for step in grid.steps
+        if isinstance(step.step, Press) and step.load is not None
+    ]
+
+
+def _number_place(places: Sequence[Place]) -> int:
+    """Return the number of the place under the head, else of the next one; 0 if places are pressed more than once."""
+    if len({place.load.label for place in places}) < len(places):
+        return 0
+    open_places = (number for number, place in enumerate(places, start=1) if place.now or place.seen is None)
+    return next(open_places, len(places))
 
 
 def _forget(trace: deque[tuple[float, float]]) -> None:

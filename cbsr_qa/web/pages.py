@@ -9,46 +9,30 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
-from cbsr_qa.domain.results.listed import ALTERED, ListedRun
-from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
 from cbsr_qa.web.line import Line
-from cbsr_qa.web.live_run import TRACE_S, Place
+from cbsr_qa.web.live_run import TRACE_S, LiveView, Place
+from cbsr_qa.web.outcomes import (
+    SIGNS,
+    cue,
+    describe_decision,
+    earlier_words,
+    kind_of_result,
+    reason_words,
+    verdict_kind,
+)
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode, Snapshot
 from cbsr_qa.web.texts import text
 
-#: Sign of each kind of badge.
-SIGNS: Final = {
-    "pass": "pass",
-    "marginal": "marginal",
-    "fail": "fail",
-    "not_measured": "unknown",
-    "not_judged": "unknown",
-    "none": "unknown",
-    "altered": "warn",
-    "aborted": "stop",
-    "broken": "warn",
-    "ready": "ready",
-    "done": "ready",
-    "starting": "wait",
-    "running": "run",
-    "paused": "pause",
-    "asking": "unknown",
-    "concluding": "wait",
-    "interrupted": "warn",
-    "held": "wait",
-    "open": "ready",
-    "passed": "pass",
-    "warned": "warn",
-    "refused": "fail",
-    "overridden": "marginal",
-    "off": "ready",
-}
 #: Parts of a run in progress, each replaced by itself.
-_LIVE_PARTS: Final = ("prompt", "marks", "legend", "step", "controls", "traces", "places", "notes")
+_LIVE_PARTS: Final = ("prompt", "marks", "legend", "step", "controls", "doing", "traces", "places", "notes")
+#: Most characters of a text that fit into half a line in the largest letters, and in the middle ones.
+_SHORT: Final = 14
+_MEDIUM: Final = 28
+#: Most limits that a page shows; the report has all.
+SHOWN_LIMITS: Final = 4
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,46 +56,9 @@ class Part:
         return cls(place, html, hashlib.blake2b(content.encode(), digest_size=6).hexdigest())
 
 
-def verdict_kind(snapshot: Snapshot) -> str:
-    """Return the kind of the latest run's result, a key of :data:`SIGNS`."""
-    look = snapshot.look
-    if look is None:
-        return "none"
-    if look.altered:
-        return ALTERED
-    if look.end is EndReason.RUNNING:
-        return "interrupted"
-    if look.end in (EndReason.ABORTED, EndReason.BROKEN):
-        return str(look.end)
-    return "none" if look.verdict is None else str(look.verdict).replace(" ", "_")
-
-
-def kind_of_result(run: ListedRun, in_progress: frozenset[str]) -> str:
-    """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
-    if run.run in in_progress:
-        return "running"
-    if run.altered:
-        return ALTERED
-    if not run.finished:
-        return "interrupted" if run.end is EndReason.RUNNING else str(run.end)
-    return "none" if run.verdict is None else str(run.verdict).replace(" ", "_")
-
-
-def reason_words(snapshot: Snapshot) -> str:
-    """Return the cause of the latest run's end if it was cut off, else the reason of its verdict."""
-    look = snapshot.look
-    if look is None:
-        return ""
-    return (
-        look.detail if look.end in (EndReason.ABORTED, EndReason.BROKEN) and look.detail else describe_decision(look)
-    )
-
-
-def describe_decision(run: RunLook | ListedRun) -> str:
-    """Return the reason of the verdict that counts: that of its override, if it has one."""
-    if run.decision is None:
-        return run.reason
-    return text("outcome.overridden", by=run.decision.operator, why=run.decision.why)
+def size_of(words: str) -> str:
+    """Return how large a text can be written in one line: a class of the style sheet."""
+    return "short" if len(words) <= _SHORT else "medium" if len(words) <= _MEDIUM else "long"
 
 
 def minutes_left(snapshot: Snapshot) -> str:
@@ -130,11 +77,19 @@ def step_words(snapshot: Snapshot) -> str:
     control = snapshot.control
     if control is None:
         return text(f"station.{snapshot.mode}")  # without a run: starting, concluding or held
+    # A pause begins before a step, which is then not under way.
+    return control.step if control.paused_by is None else ""
+
+
+def progress_words(snapshot: Snapshot) -> str:
+    """Return how far the run has come: the place under the head or the next one, of how many; else the press."""
+    control, live = snapshot.control, snapshot.live
+    if live is not None and live.place_number:
+        return text("live.place", number=live.place_number, of=live.planned_places)
+    if control is None or not control.number:
+        return ""
     press = "live.next_press" if control.next else "live.press"
-    words = [text(press, number=control.number, of=control.of)] if control.number else []
-    if control.paused_by is None and control.step:  # a pause begins before a step, which is then not under way
-        words.append(control.step)
-    return " · ".join(words)
+    return text(press, number=control.number, of=control.of)
 
 
 def phase_words(snapshot: Snapshot) -> str:
@@ -143,7 +98,19 @@ def phase_words(snapshot: Snapshot) -> str:
     if live is None or not live.phases:
         return "" if snapshot.control is None else snapshot.control.phase
     phase = live.phases[-1]
+    if live.planned_phases == 1:
+        return phase.name
     return text("live.phase", phase=phase.name, number=phase.index + 1, of=live.planned_phases)
+
+
+def drawn_places(view: LiveView) -> list[Place]:
+    """Return one press of each place of the grid: the one under way, else the latest that was seen."""
+    place_by_label: dict[str, Place] = {}
+    for place in view.places:
+        known = place_by_label.get(place.load.label)
+        if known is None or place.now or (place.seen is not None and not known.now):
+            place_by_label[place.load.label] = place
+    return list(place_by_label.values())
 
 
 def band_kind(place: Place) -> str:
@@ -215,11 +182,17 @@ def _environment() -> Environment:
         "trace_minutes": f"{TRACE_S / 60:g}",
         "scale_colours": scale_colours(),
         "verdict_kind": verdict_kind,
+        "cue": cue,
+        "size_of": size_of,
+        "earlier_words": earlier_words,
+        "shown_limits": SHOWN_LIMITS,
         "kind_of_result": kind_of_result,
         "reason_words": reason_words,
         "describe_decision": describe_decision,
         "minutes_left": minutes_left,
         "step_words": step_words,
+        "progress_words": progress_words,
+        "drawn_places": drawn_places,
         "phase_words": phase_words,
         "band_kind": band_kind,
         "band_words": band_words,
@@ -284,6 +257,19 @@ class Pages:
         """Render the answers of the gate on a sensor before its run."""
         return self.fragment("gate", base=_base(station), request=wanted, view=view)
 
+    def scanned(self, station: str, wanted: StartForm, view: GateView) -> str:
+        """Render the state of a station at which a sensor was scanned."""
+        kind = "refused" if not view.may else "again" if view.asks_again else "may"
+        return self.fragment("scanned", name=station, serial=wanted.serial, kind=kind)
+
+    def idle_parts(self, name: str) -> list[list[str]]:
+        """Return what a scan has replaced on the page of a station, as it was before."""
+        names = self._names(name)
+        snapshot = names["s"]
+        if snapshot is None or snapshot.mode.runs:
+            return []
+        return [[part, self.fragment(part, **names)] for part in ("state", "verdict")]
+
     def overview_parts(self) -> list[Part]:
         """Return the parts of the overview."""
         parts = [self._part("trouble", trouble=self._line.trouble)]
@@ -307,10 +293,11 @@ class Pages:
 
     def _station_parts(self, name: str, snapshot: Snapshot | None, trouble: str) -> list[Part]:
         names = self._names(name)
+        trouble_part = self._part("trouble", trouble=trouble or _trouble(snapshot))
+        if snapshot is None:  # the server has just begun: an open page keeps what it shows
+            return [trouble_part]
         parts = [Part.from_html("body", self.fragment("body", **names), _layout(snapshot))]
-        parts += [self._part("state", **names), self._part("trouble", trouble=trouble or _trouble(snapshot))]
-        if snapshot is None:
-            return parts
+        parts += [self._part("state", **names), trouble_part]
         if snapshot.mode.live:
             return [*parts, *(self._part(part, **names) for part in _LIVE_PARTS)]
         return parts if snapshot.mode.runs else [*parts, self._part("refused", **names)]

@@ -11,7 +11,13 @@ from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
 @dataclass(frozen=True, slots=True)
 class StartForm:
-    """A run that an operator asks for, checked. ``pin``: PIN of the operator as typed; empty without one."""
+    """A run that an operator asks for, checked.
+
+    Parameters
+    ----------
+    pin : PIN of the operator as typed; empty without one.
+    again : earlier run of the sensor in spite of which it is tested; empty for none.
+    """
 
     serial: str
     recipe: OfferedRecipe
@@ -19,6 +25,7 @@ class StartForm:
     batch: str
     override: Override
     pin: str = field(default="", repr=False)
+    again: str = ""
 
     @classmethod
     def from_form(cls, served: ServedStation, form: Mapping[str, str]) -> Self:
@@ -34,11 +41,12 @@ class StartForm:
                 form.get("override_why", ""),
             ).validate(),
             pin=form.get("pin", ""),
+            again=form.get("again", ""),
         )
 
     @property
     def fields(self) -> dict[str, str]:
-        """The fields of a form that asks for the same, without the PIN."""
+        """The fields of a form that asks for the same, without the PIN and the consent to another test."""
         return {
             "serial": self.serial,
             "recipe": self.recipe.name,

@@ -21,13 +21,14 @@ class Mode(StrEnum):
     ASKING = "asking"  #: a prompt waits for an answer
     CONCLUDING = "concluding"  #: measuring is over; the result is worked out and written
     DONE = "done"  #: the last run has ended, also one that was stopped or broke
+    UNSAFE = "unsafe"  #: an emergency stop or a fault ended the last run; nobody has confirmed the bench since
     INTERRUPTED = "interrupted"  #: the run's process has gone without an end
     HELD = "held"  #: something else uses the station
 
     @property
     def runs(self) -> bool:
         """Whether a process works at the station."""
-        return self not in (Mode.READY, Mode.DONE, Mode.INTERRUPTED)
+        return self not in (Mode.READY, Mode.DONE, Mode.UNSAFE, Mode.INTERRUPTED)
 
     @property
     def live(self) -> bool:
@@ -77,6 +78,20 @@ class Control:
     warnings: tuple[str, ...]
 
 
+@dataclass(frozen=True, slots=True)
+class FailedLimit:
+    """A limit that decided the latest run's outcome, in words.
+
+    Parameters
+    ----------
+    code, disposition : failure code of the limit, and what to do with a sensor that has it; empty without one.
+    """
+
+    words: str
+    code: str = ""
+    disposition: str = ""
+
+
 @dataclass(frozen=True, slots=True, eq=False)
 class Snapshot:
     """Content of the pages on a station at one time.
@@ -85,6 +100,7 @@ class Snapshot:
     ----------
     control : state of the run in progress, by its channel; None without a run, or before it answers.
     look : latest stored run; None before the first.
+    failed : limits that decided the latest run's outcome, unless it passed; worst first.
     live : view of the run in progress; None without one.
     refused : reason why the run that was started last never began; empty otherwise.
     trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
@@ -95,6 +111,7 @@ class Snapshot:
     mode: Mode
     control: Control | None
     look: RunLook | None
+    failed: tuple[FailedLimit, ...]
     live: LiveView | None
     starting: str
     refused: str
@@ -115,13 +132,19 @@ class Snapshot:
     def resumable(self) -> bool:
         """Whether the latest run can be continued."""
         look = self.look
-        if look is None or self.mode.runs or look.altered:
+        if look is None or self.mode.runs or self.mode is Mode.UNSAFE or look.altered:
             return False
         return look.result is not ResultState.STORED
 
 
 def mode_of(
-    control: Control | None, look: RunLook | None, *, held: bool, starting: bool, begun: bool = False
+    control: Control | None,
+    look: RunLook | None,
+    *,
+    held: bool,
+    starting: bool,
+    begun: bool = False,
+    unsafe: bool = False,
 ) -> Mode:
     """Decide what a station is doing.
 
@@ -130,6 +153,7 @@ def mode_of(
     held : whether a process holds the station's lock.
     starting : whether a process that this page started is alive.
     begun : whether ``look`` is of that process.
+    unsafe : whether the end of ``look`` needs a confirmation that nobody has given.
     """
     has_ended = (
         control is not None and look is not None and look.run == control.run and look.end is not EndReason.RUNNING
@@ -143,7 +167,9 @@ def mode_of(
         if is_unjudged or control is not None or (starting and begun):
             return Mode.CONCLUDING
         return Mode.STARTING if starting else Mode.HELD
-    return Mode.READY if look is None else Mode.INTERRUPTED if look.end is EndReason.RUNNING else Mode.DONE
+    if look is None or look.end is EndReason.RUNNING:
+        return Mode.READY if look is None else Mode.INTERRUPTED
+    return Mode.UNSAFE if unsafe else Mode.DONE
 
 
 def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool) -> Control:

@@ -7,6 +7,8 @@ from time import monotonic
 from typing import Final
 
 from cbsr_qa.domain.errors import CbsrError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.measurement import describe_judgement, rank_judged
 from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.station.control.lock import station_holder
@@ -14,10 +16,11 @@ from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.runs.live import ChangeNotice, RunLook
 from cbsr_qa.web.channel import ChannelClient
+from cbsr_qa.web.confirmations import needs_confirmation
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.live_run import LiveRun
 from cbsr_qa.web.processes import Started, last_start
-from cbsr_qa.web.state import Mode, Snapshot, mode_of
+from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.texts import refusal_words, text
 
@@ -33,6 +36,10 @@ _END_S: Final = 0.5
 _HEALTH_S: Final = 15.0
 #: Interval between attempts to open the store [s].
 _RETRY_S: Final = 1.0
+#: Time within which a run in progress answers a page that has just begun [s].
+_ANSWERS_S: Final = 0.8
+#: Outcomes of which the limits that decided them are shown.
+_SHOWN_OUTCOMES: Final = (Outcome.FAIL, Outcome.NOT_MEASURED, Outcome.MARGINAL)
 #: Time without frames after which a run that takes them is in trouble [s].
 SILENT_S: Final = 60.0
 
@@ -59,6 +66,8 @@ class StationWatch:
         self._due, self._next_s, self._look_s, self._links = True, 0.0, 0.0, -1
         self._health, self._healthy, self._health_s = "", True, 0.0
         self._reported = ""
+        self._begun_s = monotonic()
+        self._failed: tuple[FailedLimit, ...] = ()
 
     @property
     def busy(self) -> bool:
@@ -103,7 +112,11 @@ class StationWatch:
         read_trouble = self._read(store, now_s)
         control, started = self.channel.control, self.started
         holder = station_holder(self.served.name)
-        mode = mode_of(control, self.look, held=holder is not None, starting=self._alive, begun=self._begun)
+        if self.snapshot is None and holder is not None and control is None and now_s < self._begun_s + _ANSWERS_S:
+            return False  # a run in progress is not shown as something else while its channel is being opened
+        unsafe = self.look is not None and needs_confirmation(self.look)
+        starting, begun = self._alive, self._begun
+        mode = mode_of(control, self.look, held=holder is not None, starting=starting, begun=begun, unsafe=unsafe)
         trouble = read_trouble or self._follow(store, plugins, mode)
         if not trouble:
             self._reported = ""
@@ -116,6 +129,7 @@ class StationWatch:
             mode=mode,
             control=control,
             look=self.look,
+            failed=self._failed,
             live=live,
             starting=started.what if started is not None else "",
             refused=self._describe_refusal(),
@@ -131,13 +145,24 @@ class StationWatch:
         has_read_its_run = control is not None and look is not None and control.run == look.run
         try:
             if not has_read_its_run or now_s >= self._look_s:
-                self.look, self._look_s = store.live.find_latest(self.served.name), now_s + _END_S
+                self._look_s = now_s + _END_S
+                self._take_look(store, store.live.find_latest(self.served.name))
             self._look_after(store, now_s)
         except Exception as error:  # noqa: BLE001 - a run that cannot be read must not stop the watching of others
             self.failure = error
             return self._words(error)
         self.failure = None
         return ""
+
+    def _take_look(self, store: Repository, look: RunLook | None) -> None:
+        """Keep the latest run, and the limits that decided it."""
+        if look == self.look:
+            return
+        self.look, self._failed = look, ()
+        if look is not None and look.outcome in _SHOWN_OUTCOMES:
+            measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
+            ranked = rank_judged(measurements, look.outcome)
+            self._failed = tuple(FailedLimit(describe_judgement(measurement)) for measurement in ranked)
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
         """Read the data that the run in progress has stored; return the problem, empty without one."""

@@ -43,7 +43,7 @@ area-overlap = {{}}
 [[limits]]
 measurement = "area_overlap"
 unit = "%"
-lower = 10.0
+lower = {overlap}
 
 [[limits]]
 measurement = "area_ratio"
@@ -93,7 +93,7 @@ class ServedLine:
     def start(self):
         """Start the server, at the port it had before; return once it can be opened."""
         stations = [f"--station={name}.toml" for name in _SPEEDS]
-        recipes = [f"--recipe={name}.toml" for name in ("five-places", "asking")]
+        recipes = [f"--recipe={name}.toml" for name in ("five-places", "asking", "strict")]
         arguments = ["serve", *stations, *recipes, f"--port={self.port}", "--token-file=token"]
         with (self.folder / "serve.log").open("ab") as log:
             self._process = subprocess.Popen(
@@ -142,8 +142,13 @@ class ServedLine:
         five_mm = [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]]
         # More than a busy machine presses while a page is looked at.
         eight_mm = [*five_mm, [15.0, 15.0], [-15.0, 15.0], [15.0, -15.0]]
-        for name, places, asks in (("five-places", five_mm, ""), ("asking", eight_mm, _ASKS)):
-            recipe = _RECIPE.format(name=name, places=places, asks=asks, sections=FEW_SECTIONS)
+        recipes = (
+            ("five-places", five_mm, "", 10.0),
+            ("asking", eight_mm, _ASKS, 10.0),
+            ("strict", five_mm[:2], "", 99.0),  # no sensor passes it
+        )
+        for name, places, asks, overlap in recipes:
+            recipe = _RECIPE.format(name=name, places=places, asks=asks, overlap=overlap, sections=FEW_SECTIONS)
             (self.folder / f"{name}.toml").write_text(recipe)
         site = self.folder / "site" / "asking-1.0.dist-info"
         site.mkdir(parents=True)

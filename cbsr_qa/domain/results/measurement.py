@@ -5,6 +5,7 @@ How things end: outcomes of measurements, verdicts, and end reasons of runs.
 Which version of its limits a recipe judges by, and where they come from.
 """
 
+from collections.abc import Iterable
 from dataclasses import dataclass, replace
 from typing import Final, Self
 
@@ -121,8 +122,13 @@ def decide(measurements: tuple[Measurement, ...]) -> Verdict:
     judged = [m for m in measurements if m.limit is not None]
     if not judged:
         return Verdict(Outcome.NOT_JUDGED, "the recipe sets no limit")
-    deciding = min((m for m in judged if m.outcome is outcome), key=relative_margin)
-    return Verdict(outcome, _reason(deciding, outcome, len(judged)))
+    return Verdict(outcome, _reason(rank_judged(judged, outcome)[0], outcome, len(judged)))
+
+
+def rank_judged(measurements: Iterable[Measurement], outcome: Outcome) -> list[Measurement]:
+    """Return the judged measurements of an outcome, the one furthest beyond its limit first."""
+    judged = (m for m in measurements if m.limit is not None and m.outcome is outcome)
+    return sorted(judged, key=relative_margin)
 
 
 def explain_verdict(verdict: Verdict, measurements: tuple[Measurement, ...]) -> str:

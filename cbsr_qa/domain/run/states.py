@@ -1,7 +1,11 @@
 """How a run ended, and whether it has its result."""
 
 from enum import StrEnum
-from typing import Self
+from typing import Final, Self
+
+#: Causes of a stop at once, as the detail of a run's end words them.
+EMERGENCY: Final = "an emergency stop by {}"
+SECOND_SIGNAL: Final = "a second signal"
 
 
 class EndReason(StrEnum):
@@ -11,6 +15,11 @@ class EndReason(StrEnum):
     FINISHED = "finished"
     ABORTED = "aborted"  #: stopped by an operator or a signal
     BROKEN = "broken"  #: an instrument, a safety rule or a plugin stopped it
+
+
+def was_emergency(detail: str) -> bool:
+    """Whether the detail of a run's end tells of a stop at once, not in order."""
+    return EMERGENCY.format("") in detail or SECOND_SIGNAL in detail
 
 
 class ResultState(StrEnum):

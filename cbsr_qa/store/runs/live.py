@@ -73,7 +73,8 @@ class RunLook:
 
     Parameters
     ----------
-    worked_at : when its latest session began, or the analysis after it was made, whichever is later.
+    session_at : when its latest session began.
+    worked_at : then, or when the analysis after it was made, whichever is later.
     end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
     outcome, reason, calibrated : of the latest analysis after that session; None and empty without one.
     decision : the latest override of that analysis; None where there is none.
@@ -87,6 +88,7 @@ class RunLook:
     recipe: str
     operator: str
     started_at: datetime
+    session_at: datetime
     worked_at: datetime
     end: EndReason
     detail: str
@@ -201,6 +203,10 @@ class LiveRuns:
         """Return the latest run of a station; None before its first."""
         return _look(self._engine, RunRow.station == station)
 
+    def find_latest_of_sensor(self, serial: str, recipe: str) -> RunLook | None:
+        """Return the latest run of a sensor with a recipe, at any station; None before its first."""
+        return _look(self._engine, (RunRow.serial == serial) & (RunRow.recipe == recipe))
+
     def find_run(self, run: str) -> RunLook | None:
         """Return a run; None if it is not stored."""
         return _look(self._engine, RunRow.run == run)
@@ -215,11 +221,12 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
         begun = select(RunStateRow.noted_at).where(RunStateRow.run == run, RunStateRow.noted_at.is_not(None))
         session_at = connection.scalar(begun.order_by(RunStateRow.number.desc()).limit(1))
         issued = select(CalibrationRow.calibration).where(CalibrationRow.run == run).limit(1)
-        moments = session_at or verdict.values["started_at"], verdict.analysed_at
+        session_at = session_at or verdict.values["started_at"]
         return fill_from_mapping(
             RunLook,
             verdict.values,
-            worked_at=max(moment for moment in moments if moment),
+            session_at=session_at,
+            worked_at=session_at if verdict.analysed_at is None else max(session_at, verdict.analysed_at),
             end=verdict.end,
             detail=verdict.end_detail,
             outcome=verdict.outcome,

@@ -1,5 +1,7 @@
 // Shows what the server sends, and sends what the operator asks for. Without it the pages are still readable.
 
+import { hear } from "./sound.js";
+
 const body = document.body;
 const say = document.getElementById("say");
 const connection = document.getElementById("connection");
@@ -7,15 +9,50 @@ const connection = document.getElementById("connection");
 let lastKey = 0;
 const isTyping = () => Date.now() - lastKey < 500 && document.activeElement?.matches("input");
 
-// What is shown already is not replaced: somebody may be typing in it.
+// What is shown already is not replaced: somebody may be typing in it. What was typed is kept.
 const keys = JSON.parse(body.dataset.keys ?? "{}");
 function put([id, html, key]) {
   const place = document.getElementById(id);
   if (!place || (key && keys[id] === key)) return;
   if (key) keys[id] = key;
+  const typed = [...place.querySelectorAll("input[id]:not([type=hidden])")].filter((one) => one.value !== one.defaultValue);
+  const focused = place.contains(document.activeElement) ? document.activeElement.id : "";
   place.innerHTML = html;
+  for (const one of typed) {
+    const field = document.getElementById(one.id);
+    if (field && one.form?.action === field.form?.action) field.value = one.value;
+  }
+  prepare(place);
+  if (id === "state" && key) settle();
+  const first = place.querySelector("[autofocus]:not([popover] *)");
+  const before = focused && document.getElementById(focused);
   // Half a serial number must not go elsewhere: whoever is typing keeps the focus.
-  if (!isTyping()) place.querySelector("[autofocus]:not([popover] *)")?.focus();
+  if (before) before.focus();
+  else if (first && !isTyping() && !isHalfTyped()) first.focus();
+}
+
+// What the browser remembers: who works here, and which details are open.
+function prepare(place) {
+  for (const field of place.querySelectorAll("[data-me]")) field.value ||= localStorage.getItem("cbsr-qa operator") ?? "";
+  for (const details of place.querySelectorAll("[data-kept]")) {
+    details.open = localStorage.getItem(`cbsr-qa ${details.dataset.kept}`) === "open";
+    details.addEventListener("toggle", () => {
+      localStorage.setItem(`cbsr-qa ${details.dataset.kept}`, details.open ? "open" : "closed");
+    });
+  }
+}
+
+// A message that something was asked for goes once the station shows another state.
+let turnOfState = 0;
+function settle() {
+  turnOfState += 1;
+  if (say.dataset.until) tell("");
+}
+function tell(words, { until = "", unsent = false } = {}) {
+  say.textContent = words;
+  say.dataset.until = until;
+  say.classList.toggle("unsent", unsent);
+  if (words && !unsent) setTimeout(() => { if (say.textContent === words) tell(""); }, 15000);
 }
 
 // The next picture is decoded before it replaces the last one, so that nothing flickers.
@@ -32,44 +69,76 @@ async function show(address) {
   }
 }
 
-function take({ parts = [], picture = "", words = "" }) {
+function take({ parts = [], picture = "", words = "", done = "", fields = {} }, asked = turnOfState) {
   if (picture) show(picture);  // it is fetched while parts are laid out
   parts.forEach(put);
-  if (words) {
-    say.textContent = words;
-    setTimeout(() => { if (say.textContent === words) say.textContent = ""; }, 10000);
+  for (const [id, value] of Object.entries(fields)) {
+    const field = document.getElementById(id);
+    if (field && !(id === "serial" && isHalfTyped())) field.value = value;
   }
+  if ("serial" in fields && !isTyping()) document.getElementById("serial")?.focus();
+  if (parts.some(([id]) => id === "state")) hear(document.querySelector("[data-cue]")?.dataset.cue);
+  if (words) tell(words);
+  else if (done && asked === turnOfState) tell(done, { until: "done" });
 }
+prepare(document);
+hear(document.querySelector("[data-cue]")?.dataset.cue);
 
-// One stream for each page that is looked at: a browser allows six connections to a server.
+// One stream for each page that is looked at: a browser allows six connections to a server. A lost one is tried again
+// at once, then more slowly, and at least twice a second.
+const RETRY_MS = [50, 150, 250, 400];
 let stream = null;
 let lastHeard = 0;
+let tries = 0;
+let waiting = 0;
 function lost(yes) {
   connection.textContent = yes ? body.dataset.lost : "";
   body.classList.toggle("lost", yes);
 }
+function heard() {
+  lastHeard = Date.now();
+  tries = 0;
+  lost(false);
+}
 function listen() {
+  clearTimeout(waiting);
   if (stream || !body.dataset.stream || document.hidden) return;
-  stream = new EventSource(body.dataset.stream);
-  stream.onopen = () => { lastHeard = Date.now(); lost(false); };
-  stream.onmessage = (event) => { lastHeard = Date.now(); lost(false); take(JSON.parse(event.data)); };
-  stream.addEventListener("here", () => { lastHeard = Date.now(); lost(false); });
-  stream.onerror = () => { lost(true); again(); };
+  const mine = stream = new EventSource(body.dataset.stream);
+  mine.onopen = heard;
+  mine.onmessage = (event) => { heard(); take(JSON.parse(event.data)); };
+  mine.addEventListener("here", heard);
+  mine.onerror = () => { if (mine === stream) again(); };
+  // An attempt that is not answered, as by a server that is only beginning, is given up.
+  setTimeout(() => { if (mine === stream && mine.readyState === EventSource.CONNECTING) again(); }, 5000);
 }
 function again() {
-  stream?.close();
-  stream = null;
-  setTimeout(listen, 500);
+  lost(true);
+  leave();
+  const wait = RETRY_MS[Math.min(tries++, RETRY_MS.length - 1)];
+  waiting = setTimeout(listen, wait * (0.75 + Math.random() / 2));  // not all pages at once
 }
 function leave() {
+  clearTimeout(waiting);
   stream?.close();
   stream = null;
 }
 document.addEventListener("visibilitychange", () => (document.hidden ? leave() : listen()));
-setInterval(() => { if (stream && Date.now() - lastHeard > 15000) { lost(true); again(); } }, 3000);
+setInterval(() => { if (stream && lastHeard && Date.now() - lastHeard > 15000) again(); }, 3000);
 addEventListener("pageshow", listen);
+addEventListener("online", listen);
 addEventListener("pagehide", leave);
 listen();
+
+// The serial number as it was sent last, and keys that came before its check was answered.
+let sentSerial = "";
+let checking = 0;
+let early = "";
+let earlySince = 0;
+let lastEarly = 0;
+function isHalfTyped() {
+  const serial = document.getElementById("serial");
+  return Boolean(serial?.value) && serial.value !== sentSerial;
+}
 
 let turn = 0;
 document.addEventListener("submit", async (event) => {
@@ -80,22 +149,58 @@ document.addEventListener("submit", async (event) => {
   const latest = form.hasAttribute("data-latest");  // a newer scan replaces one whose answer is awaited
   if (!latest && button?.getAttribute("aria-busy") === "true") return;
   const mine = ++turn;
+  const asked = turnOfState;
   button?.setAttribute("aria-busy", "true");
-  say.textContent = "";
-  say.classList.remove("unsent");
+  tell("");
   document.querySelector(":popover-open")?.hidePopover();
+  const fields = new URLSearchParams(new FormData(form));
+  if (fields.get("operator")) localStorage.setItem("cbsr-qa operator", fields.get("operator"));
+  if (!fields.has("operator")) fields.set("by", localStorage.getItem("cbsr-qa operator") ?? "");
+  if (latest) {
+    [sentSerial, checking, early] = [fields.get("serial"), mine, ""];
+    document.getElementById("serial")?.select();  // the next scan replaces it
+  }
   try {
-    const fields = new URLSearchParams(new FormData(form));
     const answer = await fetch(form.action, { method: "POST", body: fields, signal: AbortSignal.timeout(30000) });
     if (latest && mine !== turn) return;
-    if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json());
-    else say.textContent = await answer.text();
+    if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json(), asked);
+    else tell(await answer.text());
   } catch {
     lost(true);
-    say.classList.add("unsent");
-    say.textContent = form.dataset.unsent ?? body.dataset.unsent;
-  } finally { button?.removeAttribute("aria-busy"); }
+    tell(form.dataset.unsent ?? body.dataset.unsent, { unsent: true });
+  } finally {
+    button?.removeAttribute("aria-busy");
+    if (checking === mine) typeEarly();
+  }
 });
+
+// Keys that were typed while a check was awaited: the PIN it asks for, or the beginning of the next serial number. A
+// scanner types faster than people, and ends with Enter: that is another sensor.
+const isScanned = () => early.length > 2 && lastEarly - earlySince < 50 * early.length;
+function typeEarly() {
+  checking = 0;
+  const pin = isScanned() ? null : document.getElementById("pin");
+  const field = pin ?? document.getElementById("serial");
+  if (early && field) {
+    field.value = early;
+    field.focus();
+  }
+  early = "";
+}
+function keepEarly(event) {
+  if (event.key.length === 1) {
+    lastEarly = Date.now();
+    if (!early) earlySince = lastEarly;
+    early += event.key;
+  } else if (event.key === "Backspace") early = early.slice(0, -1);
+  else if (event.key !== "Enter") return;
+  event.preventDefault();
+  const serial = document.getElementById("serial");
+  if (event.key === "Enter" && serial && isScanned()) {
+    serial.value = early;
+    serial.form.requestSubmit();
+  }
+}
 
 // What a scanner types goes to the scan field, unless a text is being typed. Where there is none, during a run, it is
 // ignored, with its Enter: neither may press a button.
@@ -103,11 +208,15 @@ let ignored = 0;
 document.addEventListener("keydown", (event) => {
   if (event.ctrlKey || event.altKey || event.metaKey) return;
   const active = document.activeElement;
+  if (checking && !active?.matches("input:not(#serial), textarea, select")) {
+    keepEarly(event);
+    return;
+  }
   if (event.key === "Enter") lastKey = 0;
   if (event.key === "Enter" && Date.now() - ignored < 1000) {
     event.preventDefault();
     ignored = 0;
-    say.textContent = body.dataset.ignored;
+    tell(body.dataset.ignored);
     return;
   }
   if (event.key.length !== 1) return;

@@ -1,0 +1,127 @@
+"""How runs ended, in the words, signs and sounds of pages."""
+
+from datetime import UTC, datetime
+from typing import Final
+
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.listed import ALTERED, ListedRun
+from cbsr_qa.domain.run.states import EndReason, was_emergency
+from cbsr_qa.store.runs.live import RunLook
+from cbsr_qa.web.state import Mode, Snapshot
+from cbsr_qa.web.texts import text
+
+#: Sign of each kind of badge.
+SIGNS: Final = {
+    "pass": "pass",
+    "marginal": "marginal",
+    "fail": "fail",
+    "not_measured": "unknown",
+    "not_judged": "unknown",
+    "none": "unknown",
+    "altered": "warn",
+    "aborted": "stop",
+    "emergency": "warn",
+    "unsafe": "warn",
+    "broken": "warn",
+    "ready": "ready",
+    "done": "ready",
+    "starting": "wait",
+    "running": "run",
+    "paused": "pause",
+    "asking": "unknown",
+    "concluding": "wait",
+    "interrupted": "warn",
+    "held": "wait",
+    "open": "ready",
+    "passed": "pass",
+    "warned": "warn",
+    "refused": "fail",
+    "overridden": "marginal",
+    "off": "ready",
+    "may": "pass",
+    "again": "unknown",
+}
+
+
+def verdict_kind(look: RunLook | None) -> str:
+    """Return the kind of a run's result, a key of :data:`SIGNS`."""
+    if look is None:
+        return "none"
+    if look.altered:
+        return ALTERED
+    return _kind_of_end(look.end, look.detail) or _kind_of_verdict(look.verdict)
+
+
+def kind_of_result(run: ListedRun, in_progress: frozenset[str]) -> str:
+    """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
+    if run.run in in_progress:
+        return "running"
+    if run.altered:
+        return ALTERED
+    return _kind_of_end(run.end, run.end_detail) or _kind_of_verdict(run.verdict)
+
+
+def _kind_of_end(end: EndReason, detail: str) -> str:
+    """Return the kind of an end; empty for that of a finished run, of which the verdict counts."""
+    if end is EndReason.RUNNING:
+        return "interrupted"
+    if end is EndReason.ABORTED:
+        return "emergency" if was_emergency(detail) else str(end)
+    return str(end) if end is EndReason.BROKEN else ""
+
+
+def _kind_of_verdict(verdict: Outcome | None) -> str:
+    return "none" if verdict is None else str(verdict).replace(" ", "_")
+
+
+def cue(snapshot: Snapshot | None) -> str:
+    """Return the sound that belongs to what a station shows, and what makes it another one; empty for silence."""
+    if snapshot is None:
+        return ""
+    look, mode = snapshot.look, snapshot.mode
+    if mode is Mode.ASKING and snapshot.control is not None and snapshot.control.prompt is not None:
+        return f"attention {snapshot.control.run} {snapshot.control.prompt.number}"
+    if snapshot.trouble and mode is Mode.RUNNING:
+        return "attention trouble"
+    if look is None or mode not in (Mode.CONCLUDING, Mode.DONE, Mode.UNSAFE, Mode.INTERRUPTED):
+        return ""
+    if mode is Mode.CONCLUDING:
+        return f"end {look.run} {look.session_at}"
+    kind = verdict_kind(look)
+    sounds = {"pass": "pass", "marginal": "pass", "fail": "fail", "aborted": "end"}
+    return f"{sounds.get(kind, 'attention')} {look.run} {look.session_at}"
+
+
+def ago_words(moment: datetime) -> str:
+    """Return how long ago something was, to the minute or hour; the time itself after a day, or if it is to come."""
+    past_s = (datetime.now(UTC) - moment).total_seconds()
+    if not 0 <= past_s < 86_400:
+        return text("ago.at", when=f"{moment:%Y-%m-%d %H:%M}")
+    if past_s < 60:
+        return text("ago.now")
+    if past_s < 3600:
+        return text("ago.minutes", count=int(past_s // 60))
+    return text("ago.hours", count=int(past_s // 3600))
+
+
+def earlier_words(look: RunLook) -> str:
+    """Return what an earlier run of a sensor came to, where, and how long ago."""
+    kind = verdict_kind(look)
+    return text("gate.earlier", outcome=text(f"outcome.{kind}"), station=look.station, ago=ago_words(look.worked_at))
+
+
+def reason_words(look: RunLook | None) -> str:
+    """Return who stopped a run, or what broke it; the reason of its verdict if it was not cut off."""
+    if look is None:
+        return ""
+    if look.end is EndReason.ABORTED and look.detail:
+        who = look.detail.removeprefix("by ").partition(", ")[0]  # the rest is the step, with its coordinates
+        return text("station.stopped_by", who=who.removesuffix(" (remote)"))
+    return look.detail if look.end is EndReason.BROKEN and look.detail else describe_decision(look)
+
+
+def describe_decision(run: RunLook | ListedRun) -> str:
+    """Return the reason of the verdict that counts: that of its override, if it has one."""
+    if run.decision is None:
+        return run.reason
+    return text("outcome.overridden", by=run.decision.operator, why=run.decision.why)
