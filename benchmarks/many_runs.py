@@ -38,6 +38,9 @@ from cbsr_qa.store import opening
 from cbsr_qa.store.engine import open_engine, parse_url, writing
 from cbsr_qa.store.opening import check_usable, open_existing, open_store
 from cbsr_qa.store.repository import Repository
+from cbsr_qa.web.gate import gate_view
+from cbsr_qa.web.start import StartForm
+from cbsr_qa.web.stations import ServedStation, load_stations
 
 _SERVER: Final = "postgresql+psycopg://postgres@127.0.0.1:5432/postgres"
 _NAME: Final = "cbsr_qa_benchmark_many"
@@ -60,6 +63,7 @@ class Line:
             golden_runs=50,
             operators=(Operator("Ada"),),
         )
+        self._served = _serve_station(folder, settings)
         made = configure("simulated", "nine-locations", sensor_type=None, material=None, seed=1)
         self.configuration: Configuration = replace(made, station=replace(made.station, name=_STATION, gate=settings))
         self._runs = 0
@@ -73,6 +77,11 @@ class Line:
         request = GateRequest(self._serial(), self.url, (self._folder,), operator="Ada")
         with open_store(self.url, create=False) as store:
             ask_gate(request, self.configuration, self.plugins, store, [check])
+
+    def scan(self, serial: str) -> None:
+        """Everything that the page of a line asks when a sensor is scanned."""
+        form = {"serial": serial, "operator": "Ada", "batch": "41"}
+        gate_view(self._served, StartForm.from_form(self._served, form), self.url)
 
     def start(self) -> None:
         """Everything that ``cbsr-qa run`` asks and writes from the first look at the database to the first row."""
@@ -134,6 +143,8 @@ class Line:
             ),
             "all checks of the gate": self.gate,
             **{f"gate: {check}": lambda check=check: self.check(check) for check in GateCheck},  # type: ignore[misc]
+            "scan a sensor that was never tested": lambda: self.scan("NEW-1"),
+            "scan a sensor that was tested": lambda: self.scan("S-00001"),
             "start a run, to its first row": self.start,
         }
 
@@ -143,6 +154,20 @@ class Line:
 
     def _listed(self, listing: Callable[..., object], **which: object) -> object:
         return self._read(lambda store: listing(store, list_request(**which)))  # type: ignore[arg-type]
+
+
+def _serve_station(folder: Path, settings: GateSettings) -> ServedStation:
+    """Return the simulated station with these policies, as a page serves it from its file."""
+    shipped = (Path(__file__).parents[1] / "stations" / "simulated.toml").read_text(encoding="utf-8")
+    checks = "\n".join(f'{check} = "{policy}"' for check, policy in settings.policies.items())
+    counts = "retest_runs = 3\ngolden_hours = 12.0\ngolden_runs = 50"
+    sync = '[sync]\ncentre = "sqlite:///centre.db"\nbacklog_hours = 24.0'
+    named = shipped.replace('name = "simulated"', f'name = "{_STATION}"')
+    file = folder / "station.toml"
+    gate = f'[gate]\n{checks}\n{counts}\n[[gate.operators]]\nname = "Ada"'
+    file.write_text(f"{named}\n{sync}\n{gate}\n", encoding="utf-8")
+    (served,) = load_stations([str(file)], ["nine-locations"])
+    return served
 
 
 def prepare(url: str) -> tuple[str, datetime]:

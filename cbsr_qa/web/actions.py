@@ -39,8 +39,8 @@ _DONE = {
 class Actions:
     """Answers to forms, in JSON.
 
-    ``parts`` of the page to replace, ``fields`` to fill in, ``words`` to say, and ``done``: words that go once the
-    station shows that it is done.
+    ``parts`` of the page to replace, ``fields`` to fill in, and ``words`` to say; ``passes``: they go once the station
+    shows another state.
     """
 
     def __init__(self, line: Line, pages: Pages) -> None:
@@ -95,7 +95,7 @@ class Actions:
             return _json_answer(parts=[["gate", self._pages.gate(station, start_form, view)]])
         arguments = start_form.arguments(watch.served, self._line.database)
         await self._begin(station, arguments, start_form.serial, start_form.pin)
-        return _json_answer(done=text("station.started", serial=start_form.serial))
+        return _json_answer(words=text("station.started", serial=start_form.serial), passes=True)
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
         """Resume the latest run of the station."""
@@ -110,7 +110,7 @@ class Actions:
         self._pins.accept(guesser)
         arguments = resume_arguments(watch.served, look.run, operator, self._line.database)
         await self._begin(station, arguments, look.serial, pin)
-        return _json_answer(done=text("station.resumed"))
+        return _json_answer(words=text("station.resumed"), passes=True)
 
     async def confirm(self, station: str, form: dict[str, str]) -> Response:
         """Take an operator's word that the bench is safe after an emergency stop or a fault."""
@@ -123,7 +123,7 @@ class Actions:
         if needs_confirmation(look):
             await run_in_threadpool(confirm_bench, look, by)
         self._line.wake(station)
-        return _json_answer(done=text("confirm.done", by=by))
+        return _json_answer(words=text("confirm.done", by=by), passes=True)
 
     async def count_pin(self, station: str, operator: str, pin: str) -> tuple[str, str]:
         """Count a PIN as a guess; return whose it is (station, operator). TooManyGuessesError if it has to wait.
@@ -155,14 +155,14 @@ class Actions:
             raise RefusedError(text("prompt.other"))
         answer = validate_reason(form.get("text", ""))
         refusal = await channel.ask("answer", by=self._asker(station, form), prompt=int(number), text=answer)
-        return _json_answer(words=refusal) if refusal else _json_answer(done=text("control.answered"))
+        return _json_answer(words=refusal or text("control.answered"), passes=not refusal)
 
     def _make_request(self, do: str) -> Action:
         async def tell(station: str, form: dict[str, str]) -> Response:
             by = self._asker(station, form)
             refusal = await self._line.stations[station].channel.ask(do, by=by)
             LOG.info("%s: %s asked for by %s%s", station, do, by, f", refused: {refusal}" if refusal else "")
-            return _json_answer(words=refusal) if refusal else _json_answer(done=text(_DONE[do]))
+            return _json_answer(words=refusal or text(_DONE[do]), passes=not refusal)
 
         return tell
 

@@ -53,7 +53,7 @@ def chromium():
 def pages(line, chromium, tmp_path):
     """Makes pages that are signed in; none may raise an error, or ask another computer for anything."""
     context = chromium.new_context(viewport={"width": 1280, "height": 800}, base_url=line.address)
-    context.set_default_timeout(15_000)
+    context.set_default_timeout(60_000)
     complaints = []
     shots = Path(os.environ.get("CBSR_QA_SHOTS", tmp_path))
 

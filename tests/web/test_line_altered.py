@@ -9,7 +9,8 @@ from exported_runs import five_runs
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.line import Line
-from cbsr_qa.web.pages import Pages, kind_of_result
+from cbsr_qa.web.outcomes import kind_of_result
+from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.shift import sensor_page
 from cbsr_qa.web.state import Mode, mode_of
 

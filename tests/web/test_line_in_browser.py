@@ -11,7 +11,7 @@ from axe_core_python.sync_playwright import Axe
 from playwright.sync_api import expect
 from served_line import PIN
 
-expect.set_options(timeout=40_000)  # a run's process loads for seconds, on a busy computer for many
+expect.set_options(timeout=120_000)  # a run's process loads for seconds, on a busy computer for many
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")  # of the browser's driver
 
@@ -30,6 +30,18 @@ def _shows(page, state):
     expect(page.locator("#state")).to_contain_text(state)
 
 
+_SHOWN_SIZES = """() => [...document.querySelectorAll("#state .mode, #state .outcome, #state .serial")].map(
+    (one) => [one.textContent.trim(), parseFloat(getComputedStyle(one).fontSize) / innerHeight])"""
+
+
+def _reads_at_three_metres(page, *texts):
+    """State, serial number and verdict are across the screen, each at least a fortieth of it high."""
+    sizes = dict(page.evaluate(_SHOWN_SIZES))
+    assert set(texts) <= set(sizes), (texts, sizes)
+    assert min(sizes.values()) >= 0.025, sizes
+    assert page.locator("#state .board").bounding_box()["width"] > 0.9 * page.viewport_size["width"]
+
+
 def _accessible(page):
     found = Axe().run(page, options={"resultTypes": ["violations"]})["violations"]
     assert not found, [(one["id"], [node["html"][:120] for node in one["nodes"]]) for one in found]
@@ -40,24 +52,32 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     page = pages("/stations/bench-1")
     page.shot("ready")
     _accessible(page)
+    _reads_at_three_metres(page, "Ready")
     expect(page.locator("#serial")).to_be_focused()
     _scan(page, "KEY-1", "five-places")
     _shows(page, "Running")
+    _reads_at_three_metres(page, "Running", "KEY-1")
     page.get_by_role("button", name="Pause").focus()
     page.keyboard.type("KEY-9")
     page.keyboard.press("Enter")
     expect(page.locator("#say")).to_contain_text("That scan was ignored")
     viewer = pages("/stations/bench-1")  # somebody opens the page in the middle
     expect(viewer.locator("#image")).to_have_attribute("href", re.compile("/image/.+/[0-9]+$"))
-    expect(viewer.locator("circle.head")).to_be_visible()
-    expect(viewer.locator(".places li.running")).to_contain_text("now")
-    expect(viewer.locator(".places small", has_text="mm off").first).to_be_visible()
+    viewer.wait_for_function("document.querySelector('circle.head')", polling="raf")  # down for 0.3 s
+    expect(viewer.locator(".progress")).to_have_text(re.compile("Place [1-5] of 5"))
+    expect(viewer.locator("circle.place.running")).to_have_count(1)
+    expect(viewer.locator("use.place-sign").first).to_be_visible()
+    assert not re.search(r"\d mm", viewer.locator("main").inner_text()), "coordinates are shown on demand"
     viewer.shot("running")
     _accessible(viewer)
-    expect(page.locator(".verdict")).to_contain_text("Passed")
-    expect(page.locator(".verdict")).to_contain_text("KEY-1")
+    viewer.get_by_text("Details").click()
+    expect(viewer.locator(".places small", has_text="mm off").first).to_be_visible()
+    viewer.shot("running-details")
+    _accessible(viewer)
+    expect(page.locator("#state .outcome")).to_have_text("Passed")
+    _reads_at_three_metres(page, "Passed", "KEY-1")
     expect(page.locator(".verdict .reason")).to_contain_text("limits are met")
-    expect(viewer.locator(".verdict h2")).to_contain_text("Passed")
+    expect(viewer.locator("#state .outcome")).to_have_text("Passed")
     page.shot("verdict-passed")
     _accessible(page)
     with page.context.expect_page() as opened:
@@ -65,7 +85,7 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     expect(opened.value.locator("h1")).to_contain_text("KEY-1")
     # The verdict stays over a reload, and goes when the next sensor is scanned.
     page.reload()
-    expect(page.locator(".verdict h2")).to_contain_text("Passed")
+    expect(page.locator("#state .outcome")).to_have_text("Passed")
     page.locator("#content").focus()
     page.keyboard.type("KEY-2")
     page.keyboard.press("Enter")
@@ -76,14 +96,111 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     page.keyboard.type("KEY-3")
     page.keyboard.press("Enter")
     expect(page.get_by_role("button", name="Start KEY-3")).to_be_focused()
-    _shows(page, "Ready")
+    _shows(page, "Ready to start")
     page.shot("gate")
     _accessible(page)
+    _test_again(page, line)
+
+
+def _test_again(page, line):
+    """A sensor that was tested is tested again only by consent, which an Enter of the scanner is not."""
+    page.keyboard.type("KEY-1")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate-title")).to_have_text(re.compile("Passed at bench-1, .+ Test again?"))
+    _reads_at_three_metres(page, "Test again?", "KEY-1")
+    page.shot("again")
+    _accessible(page)
+    expect(page.get_by_role("button", name="No, next sensor")).to_be_focused()
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate")).to_be_empty()
+    expect(page.locator("#serial")).to_be_focused()
+    expect(page.locator("#state .outcome")).to_have_text("Passed")
+    form = {"serial": "KEY-1", "recipe": "five-places"}
+    answer = page.request.post("/stations/bench-1/start", form=form, headers={"origin": line.address}).json()
+    assert "Test again?" in dict(answer["parts"])["gate"]
+    assert line.holder("bench-1") is None
+    page.keyboard.type("KEY-1")
+    page.keyboard.press("Enter")
+    page.get_by_role("button", name="Test KEY-1 again").click()
+    expect(page.locator(".progress")).to_contain_text("Place")
+    page.get_by_role("button", name="Stop", exact=True).click()
+    page.get_by_role("button", name="Stop the run").click()
+    expect(page.locator("#state .outcome")).to_have_text("Stopped")
+
+
+@pytest.mark.rest
+def test_a_failed_sensor_shows_every_failed_limit_the_worst_first_and_sounds_are_heard_unless_muted(pages):
+    page = pages("/stations/bench-1")
+    page.evaluate("""() => {
+        const Tone = OscillatorNode;
+        window.tones = [];
+        window.OscillatorNode = class extends Tone {
+            constructor(context, options) { super(context, options); tones.push(options.frequency); }
+        };
+    }""")
+    _scan(page, "BAD-1", "strict")
+    expect(page.locator("#state .outcome")).to_have_text("Failed")
+    assert page.evaluate("tones") == [660, 440, 330, 220]  # the end, then the fail
+    _reads_at_three_metres(page, "Failed", "BAD-1")
+    limits = page.locator(".failed li")
+    expect(limits).to_have_count(2)
+    overlaps = [float(re.search(r"is ([\d.]+) %", words)[1]) for words in limits.all_inner_texts()]
+    assert overlaps == sorted(overlaps)
+    expect(page.locator(".todo")).to_have_text("Put the sensor with those that failed.")
+    page.shot("verdict-failed")
+    _accessible(page)
+    mute = page.get_by_role("button", name="Sound on")
+    mute.click()
+    expect(page.get_by_role("button", name="Sound off")).to_have_attribute("aria-pressed", "true")
+    page.keyboard.type("BAD-1")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate-title")).to_contain_text("Failed at bench-1")
+    assert len(page.evaluate("tones")) == 4
+    page.reload()
+    page.get_by_role("button", name="Sound off").click()
+    expect(page.get_by_role("button", name="Sound on")).to_have_attribute("aria-pressed", "false")
+
+
+_SLOW_CHECKS = """() => {
+    const sent = fetch;
+    window.fetch = async (...what) => { await new Promise((end) => setTimeout(end, 1500)); return sent(...what); };
+}"""
+
+
+def test_keys_that_come_before_the_check_answered_are_kept(pages):
+    page = pages("/stations/dying")
+    page.evaluate(_SLOW_CHECKS)
+    page.locator("#operator").fill("Ada")
+    page.locator("#serial").focus()
+    page.keyboard.type("EARLY-1")
+    page.keyboard.press("Enter")
+    page.keyboard.type("EARLY-2")  # a scanner's: another sensor
+    page.keyboard.press("Enter")
+    page.keyboard.type("4711", delay=120)  # a person's: the PIN that will be asked for
+    expect(page.get_by_label("PIN of Ada")).to_be_focused()
+    expect(page.get_by_label("PIN of Ada")).to_have_value("4711")
+    expect(page.locator("#gate")).to_contain_text("Sensor EARLY-2 can be tested")
+
+
+def test_a_badge_names_the_operator_and_that_of_nobody_loses_nothing(pages):
+    page = pages("/stations/dying")
+    page.locator("#serial").focus()
+    page.keyboard.type("Ada")
+    page.keyboard.press("Enter")
+    expect(page.locator("#operator")).to_have_value("Ada")
+    expect(page.locator("#serial")).to_be_empty()
+    expect(page.locator("#serial")).to_be_focused()
+    page.locator("#operator").fill("Eve")
+    page.locator("#serial").fill("BADGE-1")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate .refused")).to_contain_text("Eve is not on the list of operators")
+    expect(page.locator("#serial")).to_have_value("BADGE-1")
 
 
 @pytest.mark.rest
 def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     page, other = pages("/stations/bench-2"), pages("/stations/bench-2")
+    page.locator("#operator").fill("Ada")
     _scan(page, "ASK-1", "asking")
     for viewer in (page, other):
         expect(viewer.locator("#prompt-text")).to_have_text("Wipe the sheet <b>dry</b>. Is there dust on it?")
@@ -105,8 +222,11 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     _shows(page, "Running")
     page.get_by_role("button", name="Pause").click()
     _shows(other, "Paused")
-    expect(other.locator("#controls")).to_contain_text("The head is up")
+    _shows(page, "Paused")
+    expect(page.locator("#say")).to_be_empty()
+    expect(other.locator("#controls")).to_contain_text("Paused by Ada. The head is up")
     other.shot("paused")
+    _accessible(other)
 
     line.stop(signal.SIGKILL)
     expect(page.locator("#connection")).to_contain_text("Runs continue")
@@ -137,14 +257,29 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     expect(page.get_by_role("button", name="Stop the run")).to_be_focused()
     page.shot("stop-asked")
     page.keyboard.press("Enter")
-    expect(page.locator(".verdict h2")).to_contain_text("Stopped")
+    expect(page.locator("#state .outcome")).to_have_text("Stopped")
+    expect(page.locator(".verdict .reason")).to_have_text("Stopped by Ada.")
+    expect(page.locator(".todo")).not_to_contain_text("emergency")
+    _reads_at_three_metres(page, "Stopped", "ASK-1")
     page.shot("stopped")
     page.get_by_role("button", name="Resume the run").click()
-    _shows(page, "Running")
+    expect(page.locator(".progress")).to_contain_text("Place")
     page.get_by_role("button", name="Emergency stop").click()
-    expect(page.locator("#say")).to_contain_text("Emergency stop sent.")
-    expect(page.locator(".verdict .reason")).to_contain_text("by an emergency stop by a viewer of the page")
+    expect(page.locator("#state .outcome")).to_have_text("Emergency stop")
+    expect(page.locator(".verdict .reason")).to_have_text("Stopped by an emergency stop by Ada.")
+    _reads_at_three_metres(page, "Emergency stop", "ASK-1", "Check the bench")
     page.shot("emergency-stopped")
+    _accessible(page)
+    # Nothing starts before somebody says that the bench is safe, whatever page asks for it.
+    expect(page.locator("#serial")).to_have_count(0)
+    form = {"serial": "NEXT-2", "recipe": "five-places"}
+    refused = page.request.post("/stations/bench-2/start", form=form, headers={"origin": line.address})
+    assert "First somebody has to confirm" in refused.json()["words"]
+    expect(page.get_by_label("Who confirms")).to_have_value("Ada")
+    page.get_by_role("button", name="The bench is safe").click()
+    expect(page.get_by_role("button", name="Resume the run")).to_be_visible()
+    _shows(page, "Ready")
+    page.shot("confirmed")
 
 
 @pytest.mark.rest
@@ -165,10 +300,11 @@ def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     _shows(page, "Running")
     expect(page.locator("#trouble")).to_contain_text(re.compile("No frame for [2-4] s. Look at the station"))
     page.shot("no-frame")
-    expect(page.locator(".verdict h2")).to_contain_text("Stopped by a fault")
+    expect(page.locator("#state .outcome")).to_have_text("Stopped by a fault")
     expect(page.locator(".verdict .reason")).to_contain_text("its cable was pulled out")
     expect(page.locator(".todo")).to_contain_text("Check the bench first")
     page.shot("broken-off")
+    page.get_by_role("button", name="The bench is safe").click()
     page.get_by_label("PIN (if you have one)").fill("4712")
     page.get_by_role("button", name="Resume the run").click()
     expect(page.locator("#say")).to_contain_text("The PIN given is not that of Ada: the run was not resumed")
@@ -228,7 +364,7 @@ def test_who_is_not_signed_in_is_asked_to(line, chromium, pages):
 @pytest.mark.rest
 def test_pages_fit_a_tablet_and_a_zoomed_screen(pages):
     page = pages("/stations/bench-1")
-    for name, width, height in (("tablet", 768, 1024), ("zoom-200", 640, 400)):
+    for name, width, height in (("wide", 1024, 768), ("tablet", 768, 1024), ("zoom-200", 640, 400)):
         page.set_viewport_size({"width": width, "height": height})
         assert page.evaluate("document.documentElement.scrollWidth") <= width
         page.shot(f"verdict-{name}")

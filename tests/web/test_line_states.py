@@ -1,20 +1,24 @@
 """What a station is doing, and what its page says of it: from its run's channel, the store and living processes."""
 
 from dataclasses import replace
-from datetime import timedelta
+from datetime import UTC, datetime, timedelta
+from types import SimpleNamespace
 
 import pytest
 from stored_lots import store_run
 from stored_runs import identity, journalled, short_run
 
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
-from cbsr_qa.web.pages import minutes_left, reason_words, step_words, verdict_kind
+from cbsr_qa.web.confirmations import confirm_bench, needs_confirmation
+from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
+from cbsr_qa.web.pages import minutes_left, progress_words, size_of
 from cbsr_qa.web.state import Mode, Snapshot, control_of, mode_of
 
+_PASSED = Verdict(Outcome.PASS, "it is well")
 _HELLO = {"run": None, "serial": "S-1", "recipe": "nine"}
 
 
@@ -28,9 +32,9 @@ def _control(**state):
     return control_of(_HELLO, {"remaining_s": 600.0, "clock_speed": 1.0, **state}, down=False)
 
 
-def _snapshot(look, mode=None, control=None):
+def _snapshot(look, mode=None, control=None, live=None):
     mode = mode or mode_of(control, look, held=control is not None, starting=False)
-    return Snapshot("bench", mode, control, look, None, "", "", "", "", healthy=True)
+    return Snapshot("bench", mode, control, look, (), live, "", "", "", "", healthy=True)
 
 
 def _ended(store, *ends):
@@ -63,7 +67,7 @@ def test_a_page_that_was_there_before_the_run_had_a_name_sees_it_end(store):
 )
 def test_a_run_without_a_result_is_interrupted_only_if_it_has_no_end(store, end, mode, kind):
     found = _snapshot(store.live.find_run(_ended(store, end)))
-    assert (found.mode, verdict_kind(found), found.resumable) == (mode, kind, True)
+    assert (found.mode, verdict_kind(found.look), found.resumable) == (mode, kind, True)
 
 
 def test_an_override_is_what_counts_with_who_decided(store):
@@ -71,7 +75,7 @@ def test_an_override_is_what_counts_with_who_decided(store):
     store.changes.override_verdict(run, Outcome.PASS, operator="Jo", why="tried")
     store.changes.override_verdict(run, Outcome.FAIL, operator="Bob", why="scratched")
     found = _snapshot(store.live.find_run(run))
-    assert (verdict_kind(found), reason_words(found)) == ("fail", "overridden by Bob: scratched")
+    assert (verdict_kind(found.look), reason_words(found.look)) == ("fail", "overridden by Bob: scratched")
     assert found.look.outcome is not Outcome.FAIL
 
 
@@ -87,18 +91,81 @@ def test_the_time_left_stands_while_a_run_waits_and_is_unknown_on_a_clock_that_d
     assert "not known" in minutes_left(_snapshot(None, Mode.RUNNING, _control(clock_speed=None)))
 
 
-def test_the_step_names_the_press_that_is_under_way_or_the_next_one():
+def test_progress_is_the_place_of_how_many_or_the_press_outside_a_grid_of_single_places():
     load = {"label": "L3", "x_mm": 0.0, "y_mm": 0.0, "number": 3, "of": 9}
+    in_grid, elsewhere = SimpleNamespace(place_number=3, planned_places=9), SimpleNamespace(place_number=0)
     said = [
-        step_words(_snapshot(None, control=_control(step="homing", **state)))
-        for state in (
-            {"load": load, "next": None},
-            {"load": None, "next": {"number": 4, "of": 9}},
-            {"load": None, "next": {"number": 4, "of": 9}, "paused": {"by": "Ada"}},
-            {"load": None, "next": None},
+        progress_words(_snapshot(None, control=_control(step="pressing L3 at (0, 0) mm", **state), live=live))
+        for state, live in (
+            ({"load": load, "next": None}, in_grid),
+            ({"load": load, "next": None}, elsewhere),
+            ({"load": None, "next": {"number": 4, "of": 9}}, None),
+            ({"load": None, "next": None}, None),
         )
     ]
-    assert said == ["Press 3 of 9 · homing", "Next: press 4 of 9 · homing", "Next: press 4 of 9", "homing"]
+    assert said == ["Place 3 of 9", "Press 3 of 9", "Next: press 4 of 9", ""]
+
+
+@pytest.mark.parametrize(
+    ("end", "detail", "kind", "reason"),
+    [
+        (EndReason.ABORTED, "by Ada (remote), while pressing L3 at (0, 0) mm", "aborted", "Stopped by Ada."),
+        (EndReason.ABORTED, "by the operator (Ctrl-C) and at once by a second signal, while", "emergency", ""),
+        (EndReason.ABORTED, "by an emergency stop by Bo (remote), while", "emergency", "Stopped by an emergency"),
+        (EndReason.BROKEN, "instrument bench: no answer", "broken", "instrument bench: no answer"),
+    ],
+)
+def test_after_an_emergency_stop_or_a_fault_somebody_confirms_the_bench_once_for_each(
+    store, tmp_path, monkeypatch, end, detail, kind, reason
+):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path))
+    look = replace(store.live.find_run(_ended(store, end)), detail=detail)
+    assert (verdict_kind(look), reason_words(look).startswith(reason)) == (kind, True)
+    assert needs_confirmation(look) is (kind != "aborted")
+    mode = mode_of(None, look, held=False, starting=False, unsafe=needs_confirmation(look))
+    assert mode is (Mode.DONE if kind == "aborted" else Mode.UNSAFE)
+    confirm_bench(look, "Ada")
+    assert not needs_confirmation(look)
+    later = replace(look, session_at=look.session_at + timedelta(hours=1))
+    assert needs_confirmation(later) is (kind != "aborted")
+
+
+def test_each_state_that_needs_somebody_has_a_sound_of_its_own(store):
+    passed = store.live.find_run(store_run(store, "S-1", (Measurement("drift", 0.1, "%/min"),), verdict=_PASSED))
+    stopped = store.live.find_run(_ended(store, EndReason.ABORTED))
+    asking = _control(prompt={"prompt": 1, "text": "?", "picture": ""})
+    sounds = [
+        cue(snapshot).partition(" ")[0]
+        for snapshot in (
+            None,
+            _snapshot(passed, Mode.RUNNING, _control()),
+            _snapshot(passed, Mode.ASKING, asking),
+            _snapshot(passed, Mode.CONCLUDING),
+            _snapshot(passed, Mode.DONE),
+            _snapshot(stopped, Mode.DONE),
+            _snapshot(stopped, Mode.INTERRUPTED),
+        )
+    ]
+    assert sounds == ["", "", "attention", "end", "pass", "end", "end"]
+
+
+@pytest.mark.parametrize(
+    ("past", "words"),
+    [
+        (timedelta(seconds=20), "just now"),
+        (timedelta(minutes=3, seconds=10), "3 min ago"),
+        (timedelta(hours=5), "5 h ago"),
+        (timedelta(days=400), "on 20"),
+        (timedelta(hours=-1), "on 20"),
+    ],
+)
+def test_how_long_ago_a_test_was(past, words):
+    assert ago_words(datetime.now(UTC) - past).startswith(words)
+
+
+@pytest.mark.parametrize(("length", "size"), [(5, "short"), (20, "medium"), (64, "long")])
+def test_a_long_serial_number_is_written_smaller(length, size):
+    assert size_of("S" * length) == size
 
 
 def test_a_process_whose_run_has_ended_is_not_starting(store):

@@ -19,9 +19,11 @@ def test_pages_use_the_catalogue_and_all_of_it():
     named = {key for source in sources for key in _KEY.findall(source)}
     asked = {key for source in sources for key in re.findall(r"""\b(?:t|text)\(["']([a-z]+\.[a-z_]+)["']""", source)}
     kinds = {str(one).replace(" ", "_") for one in (*Outcome, EndReason.ABORTED, EndReason.BROKEN, ALTERED)}
-    kinds |= {"none", "interrupted"}
+    kinds |= {"none", "interrupted", "emergency"}
     joined = {f"{group}.{kind}" for group in ("outcome", "todo") for kind in kinds}
     joined |= {"outcome.running", *(f"mode.{mode}" for mode in Mode)}
+    joined |= {f"failed.{kind}" for kind in ("fail", "not_measured", "marginal")}
+    joined |= {f"scanned.{kind}" for kind in ("may", "again", "refused")} | {"todo.unsafe"}
     joined |= {f"station.{mode}" for mode in (Mode.STARTING, Mode.CONCLUDING, Mode.HELD)}
     assert asked | joined <= keys(), sorted((asked | joined) - keys())
     assert keys() <= named | joined, sorted(keys() - named - joined)

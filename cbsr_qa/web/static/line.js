@@ -15,7 +15,8 @@ function put([id, html, key]) {
   const place = document.getElementById(id);
   if (!place || (key && keys[id] === key)) return;
   if (key) keys[id] = key;
-  const typed = [...place.querySelectorAll("input[id]:not([type=hidden])")].filter((one) => one.value !== one.defaultValue);
+  const fields = key ? [...place.querySelectorAll("input[id]:not([type=hidden])")] : [];  // an answer clears them
+  const typed = fields.filter((one) => one.value !== one.defaultValue);
   const focused = place.contains(document.activeElement) ? document.activeElement.id : "";
   place.innerHTML = html;
   for (const one of typed) {
@@ -46,11 +47,11 @@ function prepare(place) {
 let turnOfState = 0;
 function settle() {
   turnOfState += 1;
-  if (say.dataset.until) tell("");
+  if (say.dataset.passes === "true") tell("");
 }
-function tell(words, { until = "", unsent = false } = {}) {
+function tell(words, { passes = false, unsent = false } = {}) {
   say.textContent = words;
-  say.dataset.until = until;
+  say.dataset.passes = passes;
   say.classList.toggle("unsent", unsent);
   if (words && !unsent) setTimeout(() => { if (say.textContent === words) tell(""); }, 15000);
 }
@@ -69,7 +70,7 @@ async function show(address) {
   }
 }
 
-function take({ parts = [], picture = "", words = "", done = "", fields = {} }, asked = turnOfState) {
+function take({ parts = [], picture = "", words = "", passes = false, fields = {} }, asked = turnOfState) {
   if (picture) show(picture);  // it is fetched while parts are laid out
   parts.forEach(put);
   for (const [id, value] of Object.entries(fields)) {
@@ -78,8 +79,7 @@ function take({ parts = [], picture = "", words = "", done = "", fields = {} }, 
   }
   if ("serial" in fields && !isTyping()) document.getElementById("serial")?.focus();
   if (parts.some(([id]) => id === "state")) hear(document.querySelector("[data-cue]")?.dataset.cue);
-  if (words) tell(words);
-  else if (done && asked === turnOfState) tell(done, { until: "done" });
+  if (words && !(passes && asked !== turnOfState)) tell(words, { passes });
 }
 prepare(document);
 hear(document.querySelector("[data-cue]")?.dataset.cue);
