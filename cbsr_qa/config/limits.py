@@ -8,7 +8,7 @@ import json
 from collections.abc import Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
-from typing import Annotated, Any
+from typing import Annotated, Any, Literal
 
 from pydantic import Field, ValidationError
 
@@ -17,11 +17,19 @@ from cbsr_qa.config.tables import FileModel, Word, as_domain, refusal, validate
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.filling import fill_from_object
-from cbsr_qa.domain.plan.limits import Limit, LimitsVersion
+from cbsr_qa.domain.numbers import did_you_mean
+from cbsr_qa.domain.plan.limits import CODED_RULES, Limit, LimitsVersion, name_limit
 from cbsr_qa.plugin.problems import Problem, Table
 
 VersionName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
 Words = Annotated[str, Field(max_length=1000)]
+Line = Annotated[
+    str,
+    Field(
+        pattern=r"^\S([^\x00-\x1f\x7f]{0,198}\S)?$",
+        description="one line of 1 to 200 characters without a blank at its ends",
+    ),
+]
 Percent = Annotated[float, Field(gt=0, lt=100)]
 Digest = Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]
 
@@ -62,6 +70,46 @@ class LimitTable(Table):
 
     def to_domain(self) -> Limit:
         return as_domain(Limit, self, version=self.version or "")
+
+
+class FailureCodeTable(Table):
+    """An entry of ``[failure_codes]``: what a line calls a failure, and what it does with the sensor."""
+
+    code: Annotated[
+        str,
+        Field(
+            pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,31}$",
+            description="1 to 32 letters, digits and . _ -, starting with a letter or a digit",
+        ),
+    ]
+    text: Line
+    disposition: Line | Literal[""] = ""
+
+
+def failure_code_problems(
+    codes: Mapping[str, FailureCodeTable], limits: Sequence[LimitTable], phases: Sequence[str]
+) -> Iterator[Problem]:
+    """Yield codes of limits that the recipe does not have, and codes that mean two things."""
+    names = [*dict.fromkeys(name_limit(*limit.judges) for limit in limits), *CODED_RULES]
+    known = {*CODED_RULES}
+    for measurement, phase, qualifier in (limit.judges for limit in limits):
+        for in_phase in (phase,) if phase else ("", *phases):
+            details = (in_phase, qualifier), ("", qualifier), (in_phase, ""), ("", "")
+            known |= {name_limit(measurement, *pair) for pair in details}
+    first_by_code: dict[str, str] = {}
+    for cause, entry in codes.items():
+        path = ("failure_codes", cause)
+        if cause not in known:
+            nearest = did_you_mean(cause, known)
+            finding = "is no limit of this recipe, and no rule"
+            yield Problem(path, finding, f"{nearest} allowed: {', '.join(names)}".lstrip())
+        first = first_by_code.setdefault(entry.code, cause)
+        meaning = codes[first]
+        if (meaning.text, meaning.disposition) != (entry.text, entry.disposition):
+            finding = f"is {entry.code!r}, which {first!r} gives the text {meaning.text!r}"
+            yield Problem(
+                (*path, "code"), f"{finding} and the disposition {meaning.disposition!r}", "one code has one meaning"
+            )
 
 
 def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Sequence[str]) -> Iterator[Problem]:

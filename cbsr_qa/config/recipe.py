@@ -9,11 +9,19 @@ from typing import Annotated, Any, Final, Literal
 from pydantic import Field
 
 from cbsr_qa.config.choices import Choice, check_choice, check_measured, read_choice, tables
-from cbsr_qa.config.limits import LimitsVersionTable, LimitTable, size_problems, version_problems
+from cbsr_qa.config.limits import (
+    FailureCodeTable,
+    LimitsVersionTable,
+    LimitTable,
+    failure_code_problems,
+    size_problems,
+    version_problems,
+)
 from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.imaging import OverlapBand
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings, CharacterisationSettings
+from cbsr_qa.domain.plan.limits import read_failure_codes
 from cbsr_qa.domain.plan.plan import NO_RECONSTRUCTION, PhaseSpec, PluginChoice, Recipe
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.results.characterisation import STRIP_MEASURES
@@ -203,6 +211,7 @@ class RecipeFile(FileModel[Recipe]):
     metrics: dict[Name, dict[str, Any]] = Field(default_factory=dict)
     limits_version: LimitsVersionTable | None = None
     limits: list[LimitTable] = Field(default_factory=list)
+    failure_codes: dict[str, FailureCodeTable] = Field(default_factory=dict)
     report: ReportTable = Field(default_factory=ReportTable)
 
     @classmethod
@@ -268,6 +277,7 @@ class RecipeFile(FileModel[Recipe]):
         for index, limit in enumerate(self.limits):
             yield from limit.problems(index, names)
         yield from version_problems(self.limits_version, self.limits)
+        yield from failure_code_problems(self.failure_codes, self.limits, names)
 
     def _way_problems(self) -> Iterator[Problem]:
         """A recipe images sensors, or characterises a material on a strip."""
@@ -299,4 +309,5 @@ class RecipeFile(FileModel[Recipe]):
             annexes_if_passed=None if annexes_if_passed is None else tuple(annexes_if_passed),
             limits_version=None if self.limits_version is None else self.limits_version.to_domain(),
             characterisation=None if self.characterisation is None else self.characterisation.to_domain(),
+            failure_codes=read_failure_codes({name: code.model_dump() for name, code in self.failure_codes.items()}),
         )

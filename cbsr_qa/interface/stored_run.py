@@ -16,6 +16,7 @@ from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import CalibrationError, StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.report import CommandOutcome
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.interface.frames import dataset_of
@@ -74,11 +75,14 @@ class Run(Result[RunOutcome]):
 
         StoreError if the run was altered since it was stored.
         """
+        return self._read_listed().verdict
+
+    def _read_listed(self) -> ListedRun:
         with open_store(self._url, create=False) as store:
             (listed,) = store.lists.read_runs(self._only)
         if listed.altered:
             raise StoreError(listed.altered, remedy="restore the database from a copy")
-        return listed.verdict
+        return listed
 
     @property
     def _only(self) -> RunSelection:
@@ -103,7 +107,7 @@ class Run(Result[RunOutcome]):
         record = self.record
         phases = record.phases if phase is None else (record.phase(phase),)
         variables = frame_variables(record.sensor_type, run_frames(record, phases), join_channels(phases))
-        return dataset_of(variables, run_attributes(record, self.verdict))
+        return dataset_of(variables, run_attributes(record, self._read_listed()))
 
     def calibration(self) -> Calibration:
         """Return the sensor's calibration that this run issued. CalibrationError if it issued none."""

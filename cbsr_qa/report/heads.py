@@ -1,9 +1,9 @@
 """The head of a report: the banner, its subject, and what was simulated."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Final, TypeVar
 
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.results.findings import RecordingResult
 from cbsr_qa.domain.results.measurement import explain_verdict
 from cbsr_qa.domain.results.report import Banner, Page
@@ -50,10 +50,16 @@ def run_page(result: RunResult) -> Page:
         ("Station time", duration(record.station_s)),
         _describe_issued(result),
         *_tries(result),
+        *list_codes(result.failure_codes),
     )
     observed = result.observation.warnings if result.observation else ()
     warnings = tuple(dict.fromkeys((*_overridden(result), *result.warnings, *observed)))
     return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
+
+
+def list_codes(codes: Iterable[FailureCode]) -> list[tuple[str, str]]:
+    """Return a fact for each failure code: what failed, and what is done with the sensor."""
+    return [("Failure code", code.words) for code in codes]
 
 
 def _describe_issued(result: RunResult) -> tuple[str, str]:

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, exists, func, select, type_coerce
 from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.plan.limits import Bound, Outcome, margin_to
 from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import Measurement
@@ -209,13 +209,14 @@ def _run(
         end_detail=verdict.end_detail,
         chain=verdict.chain,
         altered=altered,
+        coded=verdict.coded,
     )
 
 
 def _find_failures(
     connection: Connection, verdicts: Mapping[str, StoredVerdict], runs: Sequence[str]
 ) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
-    """Return the metrics outside their limits by analysis, and the problems of altered runs.
+    """Return the metrics outside their limits by analysis, the worst first, and the problems of altered runs.
 
     Only failed runs are passed in: one metric outside its limits decides that.
     """
@@ -224,11 +225,15 @@ def _find_failures(
     latest_analyses = {verdicts[run].analysis for run in runs}
     rows = read_rows(connection, MeasurementRow, runs)
     altered = find_altered(connection, {run: verdicts[run].values["chain"] for run in runs}, [rows])
-    failed_by_analysis: dict[str, dict[MetricKey, None]] = {}
-    cells = rows.tuples(("analysis", "outcome", "name", "phase", "qualifier"))
-    for run, (analysis, outcome, *key) in zip(rows.runs, cells, strict=True):
+    margins: dict[str, list[tuple[float, MetricKey]]] = {}
+    cells = rows.tuples(("analysis", "outcome", "value", "lower_limit", "upper_limit", "name", "phase", "qualifier"))
+    for run, (analysis, outcome, value, lower, upper, *key) in zip(rows.runs, cells, strict=True):
         if outcome == Outcome.FAIL and analysis in latest_analyses and run not in altered:
-            failed_by_analysis.setdefault(analysis, {})[MetricKey(*key)] = None
+            margins.setdefault(analysis, []).append((margin_to(value, lower, upper), MetricKey(*key)))
+    failed_by_analysis = {
+        analysis: dict.fromkeys(key for _, key in sorted(own, key=lambda pair: pair[0]))
+        for analysis, own in margins.items()
+    }
     return failed_by_analysis, altered
 
 

@@ -22,7 +22,7 @@ BY_OPERATOR: Final = "decided by an operator"
 #: Runs may be stored slightly out of order of their start; beyond this a clock was wrong.
 _CLOCK_STEP: Final = timedelta(days=1)
 #: Tables of a recipe that affect judgement or display, but no number.
-_NOT_MEASURING: Final = ("limits", "limits_version", "report")
+_NOT_MEASURING: Final = ("limits", "limits_version", "failure_codes", "report")
 #: Number of known names in a remedy.
 _MAX_LISTED_NAMES: Final = 20
 #: Selection criteria of runs: noun, field of the selection, attribute of a run.

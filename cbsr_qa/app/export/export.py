@@ -21,7 +21,6 @@ from cbsr_qa.app.shift.report import exit_code
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.numbers import did_you_mean
-from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.report import CommandOutcome
@@ -177,7 +176,7 @@ def _write_frames(
 ) -> int:
     """Write frames for other programs; returns their number."""
     frames = run_frames(record, phases)
-    attributes = run_attributes(record, listed.verdict)
+    attributes = run_attributes(record, listed)
     with writing(to), write_atomically(to) as file:
         if kind is ExportFormat.EIDORS:
             write_eidors(file, record, frames, attributes)
@@ -187,7 +186,7 @@ def _write_frames(
     return len(frames.frames)
 
 
-def run_attributes(record: RunRecord, verdict: Outcome | None) -> dict[str, str | float]:
+def run_attributes(record: RunRecord, listed: ListedRun) -> dict[str, str | float]:
     """Return what traces the frames of a run, for the file as a whole."""
     identity = record.identity
     return {
@@ -203,7 +202,8 @@ def run_attributes(record: RunRecord, verdict: Outcome | None) -> dict[str, str 
         "operator": identity.operator,
         "started_at": identity.started_at.astimezone(UTC).isoformat(),
         "end": str(record.end),
-        "verdict": str(verdict or "none"),
+        "verdict": str(listed.verdict or "none"),
+        "failure_codes": "; ".join(code.words for code in listed.failure_codes),
         "software": ", ".join(f"{name} {version}" for name, version in identity.software),
         "head": record.indenter.words(),
     }

@@ -37,6 +37,7 @@ _RUN: Final[dict[str, type]] = {
     "overridden_by": str,
     "overridden_why": str,
     "failed_limits": tuple,
+    "failure_codes": tuple,
     "number": int,
     "of_check": bool,
     "simulated": bool,
@@ -83,7 +84,7 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
     """
     if table is ExportTable.RUNS:
         entries = map(RunEntry.from_run, runs)
-        rows = [tuple(getattr(entry, name) for name in _RUN) for entry in entries]
+        rows = [tuple(_as_cell(getattr(entry, name)) for name in _RUN) for entry in entries]
         return rows, tuple(run.run for run in runs if run.altered)
     of_run = {run.run: tuple(getattr(run, name) for name in _OF_RUN) for run in runs}
     measured = store.lists.read_measurements([*of_run])
@@ -95,6 +96,10 @@ def rows_of(store: Repository, table: ExportTable, runs: Sequence[ListedRun]) ->
         for run, problem in measured.altered.items()
     ]
     return rows + marked, tuple(measured.altered)
+
+
+def _as_cell(value: Any) -> Any:
+    return tuple(map(str, value)) if isinstance(value, tuple) else value
 
 
 def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:

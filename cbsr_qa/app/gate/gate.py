@@ -113,6 +113,8 @@ def _answer(check: GateCheck, asked: Asked) -> GateAnswer:
         return GateAnswer(check, policy, GateOutcome.OFF, finding.words)
     if finding.well:
         return GateAnswer(check, policy, GateOutcome.PASSED, finding.words)
+    codes = [code.words for code in asked.configuration.recipe.failure_codes if check in code.causes]
+    finding = finding._replace(words="; ".join([finding.words, *codes]))
     if policy is GatePolicy.WARN:
         return GateAnswer(check, policy, GateOutcome.WARNED, finding.words, finding.remedy, command=finding.command)
     override = asked.request.override

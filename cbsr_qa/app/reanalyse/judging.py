@@ -15,7 +15,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.reanalyses import Reanalysis, key_of
 
 #: Tables of a recipe that do not affect how a run is imaged and measured.
-_AFTERWARDS: Final = ("limits", "limits_version", "report")
+_AFTERWARDS: Final = ("limits", "limits_version", "failure_codes", "report")
 
 
 def judge_stored(store: Repository, job: Job) -> Reanalysis | None:

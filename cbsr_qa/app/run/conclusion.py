@@ -118,6 +118,7 @@ def _conclude(
         station_charts=charts,
         history=history,
         sensor_history=sensor_history,
+        coded=recipe.failure_codes,
     )
     store.analyses.save(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)

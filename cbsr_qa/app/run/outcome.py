@@ -12,7 +12,7 @@ from pydantic import Field, InstanceOf
 from cbsr_qa.analysis.run.place import run_place
 from cbsr_qa.analysis.run.place_found import PlaceErrors
 from cbsr_qa.domain.filling import fill_from_object
-from cbsr_qa.domain.plan.limits import Bound, Outcome
+from cbsr_qa.domain.plan.limits import Bound, FailureCode, Outcome
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.results.report import CommandOutcome
 from cbsr_qa.domain.results.run_result import RunResult
@@ -21,7 +21,7 @@ from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.run import ChainState, PressDecided, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.document import ChosenParameter
-from cbsr_qa.report.heads import run_page
+from cbsr_qa.report.heads import list_codes, run_page
 from cbsr_qa.report.station import gate_words
 
 #: Most points of a force error that a terminal lists as it fell.
@@ -180,6 +180,7 @@ class RunOutcome:
     Parameters
     ----------
     reason : reason of the verdict.
+    failure_codes : codes of what failed by the run's own recipe, the worst first.
     resume : command that resumes it; None if it finished.
     report, calibration, material : files; None if none was issued, or it could not be written (a warning says so).
     material_why : why there is no material file; empty if the recipe characterises none.
@@ -200,6 +201,7 @@ class RunOutcome:
     resume: str | None
     outcome: Outcome
     reason: str
+    failure_codes: tuple[FailureCode, ...]
     report: Path | None
     calibration: Path | None
     calibration_why: str
@@ -247,6 +249,7 @@ class RunOutcome:
             resume=resume or None,
             outcome=verdict.outcome,
             reason=verdict.reason,
+            failure_codes=result.failure_codes,
             report=report,
             calibration=calibration,
             calibration_why=result.calibration_why,
@@ -299,6 +302,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     tries = "" if result.sensor_history is None else result.sensor_history.words
     facts = [
         *([("Sensor", tries)] if tries else []),
+        *list_codes(result.failure_codes),
         ("Run", f"{identity.words}, by {identity.operator}" if identity.operator else identity.words),
         ("Time", f"{tested.station_s / 60:.1f} min of station time, {tested.compute_s:.1f} s to compute the result"),
         *_describe_decisions(result.record),

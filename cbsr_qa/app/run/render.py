@@ -19,7 +19,7 @@ from cbsr_qa.calibration.file.hdf5 import calibration_of, write_calibration
 from cbsr_qa.config.merging import restore
 from cbsr_qa.config.paths import database_url, reports_folder
 from cbsr_qa.domain.errors import CalibrationError, NumericsError
-from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome
 from cbsr_qa.domain.plan.plan import Recipe
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.characterisation import Characterisation
@@ -34,7 +34,7 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.report.heads import run_page
+from cbsr_qa.report.heads import list_codes, run_page
 from cbsr_qa.report.render import render_run, report_name, write_report
 from cbsr_qa.report.section import Annexes, load_sections
 from cbsr_qa.store.opening import open_store
@@ -50,6 +50,7 @@ class Rendered:
     serial: str
     outcome: Outcome
     reason: str
+    failure_codes: tuple[FailureCode, ...]
     report: Path
     chain: ChainState
     overrides: tuple[VerdictOverride, ...]
@@ -113,6 +114,7 @@ def render_result(result: RunResult, annexes: Annexes, plugins: Plugins, folder:
         identity.sensor.serial,
         result.verdict.outcome,
         result.verdict.reason,
+        result.failure_codes,
         path,
         result.record.chain,
         result.overrides,
@@ -125,7 +127,8 @@ def render_result(result: RunResult, annexes: Annexes, plugins: Plugins, folder:
 def render_outcome(rendered: Rendered) -> CommandOutcome[Rendered]:
     """Lay out a run's rendered report and its verdict."""
     page = run_page(rendered.result)
-    facts = (("Run", rendered.result.record.identity.words), ("Stored rows", rendered.chain.words))
+    named = ("Run", rendered.result.record.identity.words)
+    facts = (named, *list_codes(rendered.failure_codes), ("Stored rows", rendered.chain.words))
     printed = (("Report", str(rendered.report)),)
     page = replace(page, identity=facts, warnings=rendered.warnings, printed=printed)
     return CommandOutcome(rendered, page, exit_code=3 if rendered.result.missing else 0)
@@ -179,9 +182,12 @@ def rebuilt(run: str, store: Repository, plugins: Plugins, *, imaged: bool = Tru
     check = store.stations.read_latest_check(record.identity.station, record.identity.started_at)
     history = store.changes.read_history(record)
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
+    coded = restore(store.runs.read_configuration(run)).recipe.failure_codes
     if stored is None:
         without_result = _describe_unanalysed(record, resume_command(run, store))
-        return replace(without_result, station_check=check, history=history, sensor_history=sensor_history), recipe
+        return replace(
+            without_result, station_check=check, history=history, sensor_history=sensor_history, coded=coded
+        ), recipe
     check_decided(record, stored, recipe.limits)
     observation, characterisation, no_images_reason = _analyse_frames(record, recipe, plugins if imaged else None)
     calibration, unreadable_reason = _calibration(store, stored)
@@ -212,6 +218,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins, *, imaged: bool = Tru
         history=history,
         overrides=store.changes.list_overrides(run),
         sensor_history=sensor_history,
+        coded=coded,
     )
     return result, recipe
 

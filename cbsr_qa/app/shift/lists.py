@@ -9,7 +9,7 @@ from typing import Any, Final, Literal, Self, TypeAlias
 from cbsr_qa.app.shift.summary import ShiftSummary, list_failed_limits, local_day, select_settled_runs, summarise_runs
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.filling import fill_from_object
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.listed import ALTERED, ListedRun
 from cbsr_qa.domain.run.states import EndReason
@@ -93,7 +93,8 @@ class RunEntry:
         match.
     outcome, reason : outcome and reason of its analysis.
     overridden_by, overridden_why : operator and reason of the override; None without one.
-    failed_limits : limits for which it counts as failed, as recipes write them.
+    failed_limits : limits for which it counts as failed, as recipes write them, the worst first.
+    failure_codes : codes of what failed by the run's own recipe, the worst first; an override keeps them.
     number : number of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
     of_check : whether the run is a golden sensor's, made to check its station.
     chain : ``unchained`` (nothing would tell if it was altered), ``chained``, ``signed``, ``signature not checked``
@@ -116,6 +117,7 @@ class RunEntry:
     overridden_by: str | None
     overridden_why: str | None
     failed_limits: tuple[str, ...]
+    failure_codes: tuple[FailureCode, ...]
     number: int
     of_check: bool
     simulated: bool
@@ -162,9 +164,9 @@ class SensorEntry:
     runs, tries : all runs of the selection, and those that finished.
     first, last : start of the first and of the last run.
     station, operator, end, run : station, operator, end and identifier of the last run.
-    verdict, reason, failed_limits : verdict, reason and failed limits of the last decided run; None and empty where
-        nothing was decided. ``altered`` if a run after it, or it, does not match its chain; ``reason`` then says what
-        does not.
+    verdict, reason, failed_limits, failure_codes : verdict, reason, failed limits and failure codes of the last
+        decided run; None and empty where nothing was decided. ``altered`` if a run after it, or it, does not match
+        its chain; ``reason`` then says what does not.
     overridden_by, overridden_why : operator and reason of the override of that run; None without one.
     first_pass : whether the first finished run passed; None if it is not among these runs, or decided nothing.
     chain : chain of the last decided run, else of the last one, as in a :class:`RunEntry`.
@@ -186,6 +188,7 @@ class SensorEntry:
     overridden_by: str | None
     overridden_why: str | None
     failed_limits: tuple[str, ...]
+    failure_codes: tuple[FailureCode, ...]
     first_pass: bool | None
     run: str
     chain: str
@@ -344,6 +347,7 @@ def _state(runs: Sequence[ListedRun]) -> SensorEntry:
         overridden_by=None if decision is None else decision.operator,
         overridden_why=None if decision is None else decision.why,
         failed_limits=tuple(key.label for run in settled[-1:] for key in list_failed_limits(run)),
+        failure_codes=settled[-1].failure_codes if settled else (),
         first_pass=first_passes[0] if first_passes else None,
         chain=(settled[-1] if settled else last_run).chain.label,
     )

@@ -28,6 +28,7 @@ _RUNS: Final = "Oldest first; times are UTC."
 _SENSORS: Final = "Each with the verdict of its last decided run, the last tested at the end; times are UTC."
 _NO_RESULT: Final = "no result yet: cbsr-qa run --resume {run} computes it"
 _REASONS: Final = "Sensors and runs that failed a limit; one run may fail several."
+_CODES: Final = "Sensors and runs with a failure code of their recipe; one run may have several."
 _PARTS: Final = "Yield: sensors that passed in their last decided run. First pass: in their first finished run."
 
 #: Counts of a tally besides passed and failed, and their words.
@@ -100,6 +101,10 @@ def _summary(summary: ShiftSummary) -> Iterator[Section]:
     if summary.reasons:
         limits = [(reason.words, str(reason.sensors), str(reason.runs)) for reason in summary.reasons]
         yield Section("Reasons for failure", (text_table(_REASONS, ("limit", "sensors", "runs"), limits, (1, 2)),))
+    if summary.codes:
+        codes = [(c.code, c.text, c.disposition or "–", str(c.sensors), str(c.runs)) for c in summary.codes]
+        header = ("code", "failure", "disposition", "sensors", "runs")
+        yield Section("Failure codes", (text_table(_CODES, header, codes, (3, 4)),))
     blocks: list[Block] = []
     for kind, parts in (("station", summary.stations), ("recipe", summary.recipes)):
         rows = [
@@ -183,7 +188,7 @@ def table_cell(value: Any) -> str | float | None:
     if isinstance(value, bool):
         return str(value).lower()
     if isinstance(value, tuple):
-        return "; ".join(value)
+        return "; ".join(map(str, value))
     if isinstance(value, datetime):
         return value.astimezone(UTC).isoformat()
     cell: str | float | None = value

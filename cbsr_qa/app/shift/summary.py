@@ -73,13 +73,31 @@ class FailureReason:
 
 
 @dataclass(frozen=True, slots=True)
+class CodeCount:
+    """A failure code and what it was given to.
+
+    Parameters
+    ----------
+    sensors, runs : numbers of sensors and runs with it, but for verdicts overridden to a pass; one run may have
+        several.
+    """
+
+    code: str
+    text: str
+    disposition: str
+    sensors: int
+    runs: int
+
+
+@dataclass(frozen=True, slots=True)
 class ShiftSummary:
-    """The runs of a selection, all and by station and recipe; reasons for failure, most sensors first."""
+    """The runs of a selection, all and by station and recipe; reasons for failure and codes, most sensors first."""
 
     total: Tally
     stations: tuple[Tally, ...]
     recipes: tuple[Tally, ...]
     reasons: tuple[FailureReason, ...]
+    codes: tuple[CodeCount, ...]
 
 
 def local_day() -> tuple[datetime, datetime]:
@@ -110,6 +128,7 @@ def summarise_runs(runs: Sequence[ListedRun]) -> ShiftSummary:
         _tally_by(runs, lambda run: run.station),
         _tally_by(runs, lambda run: run.recipe),
         _reasons(runs),
+        _count_codes(runs),
     )
 
 
@@ -170,3 +189,13 @@ def _reasons(runs: Sequence[ListedRun]) -> tuple[FailureReason, ...]:
             serials_by_limit.setdefault(limit, []).append(run.serial)
     reasons = [FailureReason(*limit, len(set(serials)), len(serials)) for limit, serials in serials_by_limit.items()]
     return tuple(sorted(reasons, key=lambda reason: (-reason.sensors, -reason.runs, reason.limit)))
+
+
+def _count_codes(runs: Sequence[ListedRun]) -> tuple[CodeCount, ...]:
+    """Count codes; recipes may give one code several meanings, which count apart."""
+    serials_by_code: dict[tuple[str, str, str], list[str]] = {}
+    for run in runs:
+        for code in () if run.passed else run.failure_codes:
+            serials_by_code.setdefault((code.code, code.text, code.disposition), []).append(run.serial)
+    counts = [CodeCount(*code, len(set(serials)), len(serials)) for code, serials in serials_by_code.items()]
+    return tuple(sorted(counts, key=lambda count: (-count.sensors, -count.runs, count.code)))

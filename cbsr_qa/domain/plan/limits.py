@@ -1,10 +1,12 @@
-"""Limits of a recipe, and how they judge a value."""
+"""Limits of a recipe, how they judge a value, and the codes of what fails."""
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
 from enum import StrEnum
+from typing import Any, Final
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck
 
 
 class Outcome(StrEnum):
@@ -98,9 +100,24 @@ class Limit:
 
     def margin(self, value: float) -> float:
         """Distance from the nearer bound, negative outside, in the limit's unit."""
-        above = float("inf") if self.lower is None else value - self.lower
-        below = float("inf") if self.upper is None else self.upper - value
-        return min(above, below)
+        return _margin(value, self.lower, self.upper)
+
+
+def _margin(value: float, lower: float | None, upper: float | None) -> float:
+    above = float("inf") if lower is None else value - lower
+    below = float("inf") if upper is None else upper - value
+    return min(above, below)
+
+
+def margin_to(value: float | None, lower: float | None, upper: float | None) -> float:
+    """Distance from the nearer bound over the larger bound's size: the smallest is closest to failing.
+
+    Without a value, minus infinity.
+    """
+    if value is None:
+        return -float("inf")
+    size = max((abs(bound) for bound in (lower, upper) if bound is not None), default=1.0)
+    return _margin(value, lower, upper) / (size or 1.0)
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,3 +144,92 @@ class LimitsVersion:
     rule: str = ""
     data_sha256: str = ""
     sealed: bool = False
+
+
+#: Ends of a run, and all rules besides limits, that a recipe may give a failure code: those of the gate refuse a run.
+_CODED_ENDS: Final = ("aborted", "broken")
+CODED_RULES: Final = (str(Outcome.NOT_MEASURED), *_CODED_ENDS, *map(str, GateCheck))
+
+
+@dataclass(frozen=True, slots=True)
+class FailureCode:
+    """What a line calls a failure, and what it does with the sensor.
+
+    Parameters
+    ----------
+    code : e.g. ``"E12"``.
+    text : the failure in the line's words.
+    disposition : what is done with the sensor: ``"scrap"``, ``"rework: check pin"``; may be empty.
+    causes : limits and rules with this code, as recipes write them; of a run those that gave it.
+    """
+
+    code: str
+    text: str
+    disposition: str = ""
+    causes: tuple[str, ...] = ()
+
+    def __str__(self) -> str:
+        return self.code
+
+    @property
+    def words(self) -> str:
+        return f"{self.code} {self.text}" + (f": {self.disposition}" if self.disposition else "")
+
+
+def name_limit(measurement: str, *details: str) -> str:
+    """Name a limit as recipes and JSON write it: ``"centre_of_mass_error (nine locations)"``.
+
+    Parameters
+    ----------
+    details : phase, qualifier, location; empty ones are left out.
+    """
+    detail = ", ".join(filter(None, details))
+    return f"{measurement} ({detail})" if detail else measurement
+
+
+def read_failure_codes(table: Mapping[str, Mapping[str, Any]]) -> tuple[FailureCode, ...]:
+    """Return the codes of a recipe's checked table ``[failure_codes]``, each once."""
+    codes: dict[str, FailureCode] = {}
+    for cause, entry in sorted(table.items()):
+        code = codes.get(entry["code"]) or FailureCode(entry["code"], entry["text"], entry.get("disposition", ""))
+        codes[code.code] = replace(code, causes=(*code.causes, cause))
+    return tuple(codes.values())
+
+
+def select_failure_codes(
+    codes: Iterable[FailureCode], outcome: Outcome | None, end: str, failed: Iterable[tuple[str, str, str]]
+) -> tuple[FailureCode, ...]:
+    """Return the codes of what a run failed, each once with the causes that gave it; none of a run that passed.
+
+    Parameters
+    ----------
+    codes : all that its recipe gives.
+    outcome, end : outcome of its analysis, whether overridden or not, and how it ended.
+    failed : measurement, phase and qualifier of what is outside its limit, in the order of the codes.
+    """
+    code_by_cause = {cause: code for code in codes for cause in code.causes}
+    given: dict[str, FailureCode] = {}
+    for names in _list_causes(outcome, end, failed) if code_by_cause else ():
+        cause = next((name for name in names if name in code_by_cause), None)
+        if cause is not None:
+            code = code_by_cause[cause]
+            earlier = given[code.code].causes if code.code in given else ()
+            given[code.code] = replace(code, causes=tuple(dict.fromkeys((*earlier, cause))))
+    return tuple(given.values())
+
+
+def _list_causes(
+    outcome: Outcome | None, end: str, failed: Iterable[tuple[str, str, str]]
+) -> Iterator[tuple[str, ...]]:
+    """Yield for each failure of a run the names under which a recipe may give its code, the narrowest first.
+
+    A limit may be named with less than it states: a code of ``noise_floor`` holds in every phase.
+    """
+    if outcome is Outcome.FAIL:
+        for measurement, phase, qualifier in failed:
+            details = (phase, qualifier), ("", qualifier), (phase, ""), ("", "")
+            yield tuple(name_limit(measurement, *pair) for pair in details)
+    elif end in _CODED_ENDS:
+        yield end, str(Outcome.NOT_MEASURED)
+    elif outcome is Outcome.NOT_MEASURED:
+        yield (str(outcome),)

@@ -8,7 +8,7 @@ from typing import Any
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings, CharacterisationSettings
 from cbsr_qa.domain.plan.gate import GateSettings
-from cbsr_qa.domain.plan.limits import Limit, LimitsVersion
+from cbsr_qa.domain.plan.limits import FailureCode, Limit, LimitsVersion
 from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.readings.loads import Indenter
 
@@ -227,6 +227,7 @@ class Recipe:
     limits_version : version of those limits that carry one; may be None.
     characterisation : settings by which press cycles on a strip become a material's parameters; None for recipes that
         image sensors. If given, ``reconstruction`` is NO_RECONSTRUCTION and ``analysis`` is not used.
+    failure_codes : codes of limits and rules, each once.
     """
 
     name: str
@@ -240,6 +241,7 @@ class Recipe:
     annexes_if_passed: tuple[str, ...] | None = None
     limits_version: LimitsVersion | None = None
     characterisation: CharacterisationSettings | None = None
+    failure_codes: tuple[FailureCode, ...] = ()
 
 
 @dataclass(frozen=True, slots=True)

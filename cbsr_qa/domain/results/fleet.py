@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import Outcome, name_limit
 from cbsr_qa.domain.results.measurement import metric_words
 from cbsr_qa.domain.run.run import run_named
 from cbsr_qa.domain.run.states import EndReason
@@ -38,15 +38,11 @@ class MetricKey:
     @property
     def label(self) -> str:
         """Name with phase, qualifier and location, as recipes and JSON write it."""
-        return self._with_detail(self.name)
+        return name_limit(self.name, self.phase, self.qualifier, self.location)
 
     @property
     def title(self) -> str:
-        return self._with_detail(metric_words(self.name))
-
-    def _with_detail(self, name: str) -> str:
-        detail = ", ".join(part for part in (self.phase, self.qualifier, self.location) if part)
-        return f"{name} ({detail})" if detail else name
+        return name_limit(metric_words(self.name), self.phase, self.qualifier, self.location)
 
 
 @dataclass(frozen=True, slots=True)

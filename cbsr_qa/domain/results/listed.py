@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from datetime import datetime
 from typing import Final
 
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Outcome, select_failure_codes
 from cbsr_qa.domain.results.fleet import MetricKey
 from cbsr_qa.domain.run.run import UNCHAINED, ChainState
 from cbsr_qa.domain.run.states import EndReason
@@ -35,7 +35,7 @@ class ListedRun:
     outcome, reason : outcome and reason of its latest analysis after its last session; None and empty where it has
         none.
     decision : the latest override of that analysis; None where there is none.
-    failed : metrics outside their limits in that analysis, each once, in the order they were measured.
+    failed : metrics outside their limits in that analysis, each once, the worst first.
     earlier : finished runs of the sensor and recipe made before this one, checks of stations not counted.
     of_check : whether the run is a golden sensor's, made to check its station.
     simulated : whether anything was simulated.
@@ -43,6 +43,7 @@ class ListedRun:
     chain : state of its chain.
     altered : description of what does not match the chain, also its ``reason`` then; it has no outcome and no
         verdict. Empty where nothing does.
+    coded : all failure codes of its recipe; not read where its outcome has none.
     """
 
     run: str
@@ -65,6 +66,13 @@ class ListedRun:
     end_detail: str = ""
     chain: ChainState = UNCHAINED
     altered: str = ""
+    coded: tuple[FailureCode, ...] = ()
+
+    @property
+    def failure_codes(self) -> tuple[FailureCode, ...]:
+        """Codes of what the run failed, the worst first, whether the verdict was overridden or not."""
+        failed = [(key.name, key.phase, key.qualifier) for key in self.failed]
+        return () if self.altered else select_failure_codes(self.coded, self.outcome, str(self.end), failed)
 
     @property
     def finished(self) -> bool:

@@ -11,7 +11,7 @@ from typing import Final, Self
 
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import check_encodable, with_type
-from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome, worst
+from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome, margin_to, worst
 from cbsr_qa.domain.results.dimensions import Dimensions
 
 _TEXTS: Final = ("name", "unit", "phase", "location", "qualifier", "how")
@@ -93,6 +93,11 @@ class Measurement:
         return Dimensions.from_qualifier(self.qualifier)
 
     @property
+    def limited(self) -> tuple[str, str, str]:
+        """Name, phase and qualifier: what limits and failure codes name it by."""
+        return self.name, self.phase, self.qualifier
+
+    @property
     def label(self) -> str:
         parts = [self.location, f"trial {self.trial + 1}" if self.trial else "", self.qualifier]
         detail = ", ".join(part for part in parts if part)
@@ -141,12 +146,9 @@ def explain_verdict(verdict: Verdict, measurements: tuple[Measurement, ...]) -> 
 
 
 def relative_margin(measurement: Measurement) -> float:
-    """Distance from the nearer bound over the limit's size: the smallest is closest to failing."""
+    """Return the margin of a measurement to its limit, comparable between limits; minus infinity without one."""
     limit = measurement.limit
-    if limit is None or measurement.value is None:
-        return -float("inf")
-    size = max(abs(bound) for bound in (limit.lower, limit.upper) if bound is not None)
-    return limit.margin(measurement.value) / (size or 1.0)
+    return -float("inf") if limit is None else margin_to(measurement.value, limit.lower, limit.upper)
 
 
 def describe_judgement(measurement: Measurement) -> str:

@@ -2,11 +2,11 @@
 
 from dataclasses import dataclass, field
 
-from cbsr_qa.domain.plan.limits import LimitsVersion
+from cbsr_qa.domain.plan.limits import FailureCode, LimitsVersion, Outcome, select_failure_codes
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.characterisation import Characterisation
 from cbsr_qa.domain.results.charts import StationCharts
-from cbsr_qa.domain.results.measurement import Measurement, Verdict
+from cbsr_qa.domain.results.measurement import Measurement, Verdict, relative_margin
 from cbsr_qa.domain.results.observation import RunObservation
 from cbsr_qa.domain.run.changes import ChangeHistory, SensorHistory, VerdictOverride
 from cbsr_qa.domain.run.run import RunRecord
@@ -30,6 +30,7 @@ class RunResult:
     overrides : decisions against the verdicts of the run, oldest first; ``verdict`` is not changed.
     sensor_history : runs of the sensor that began before this one; None if not loaded.
     missing : whether the run has no stored result; the verdict is then "not measured".
+    coded : all failure codes of the run's own recipe, also where another one was adopted.
     """
 
     record: RunRecord
@@ -48,3 +49,16 @@ class RunResult:
     overrides: tuple[VerdictOverride, ...] = ()
     sensor_history: SensorHistory | None = None
     missing: bool = False
+    coded: tuple[FailureCode, ...] = ()
+
+    @property
+    def failure_codes(self) -> tuple[FailureCode, ...]:
+        """Codes of what the run failed, the worst first, whether the verdict was overridden or not."""
+        outcome, end = None if self.missing else self.verdict.outcome, str(self.record.end)
+        failed = sorted((m for m in self.measurements if m.outcome is Outcome.FAIL), key=relative_margin)
+        return select_failure_codes(self.coded, outcome, end, [m.limited for m in failed])
+
+    def codes_of(self, measurement: Measurement) -> tuple[FailureCode, ...]:
+        """Return the code of a failed measurement, as a tuple of one; empty for others and where it has none."""
+        failed = measurement.outcome if measurement.outcome is Outcome.FAIL else None
+        return select_failure_codes(self.coded, failed, "", [measurement.limited])

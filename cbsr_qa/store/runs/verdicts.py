@@ -3,6 +3,7 @@
 Rows of a run, its states, analyses and overrides are compared with their links before anybody sees a verdict.
 """
 
+import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -12,7 +13,7 @@ from typing import Any, Final
 from sqlalchemy import Connection
 
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Outcome, read_failure_codes
 from cbsr_qa.domain.results.listed import Decision
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.domain.run.states import EndReason, ResultState
@@ -32,6 +33,8 @@ _STATE: Final = ("end", "detail", "time_s")
 _RESULT: Final = ("analysis", "analysed_at", "outcome", "reason", "software")
 _DECISION: Final = ("outcome", "operator", "why")
 _ENDS: Final = {str(end): end for end in EndReason}
+#: Outcomes of analyses that no failure code is for.
+_UNCODED: Final = frozenset(map(str, (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)))
 _OUTCOMES: Final = {str(outcome): outcome for outcome in Outcome}
 
 
@@ -49,6 +52,7 @@ class StoredVerdict:
     altered : what does not match the chain, or cannot be read; nothing else is then known but ``values`` and ``end``
         as they stand, and there is no result. Empty for a sound run, and for an unchained one that can be read, where
         nothing can be compared.
+    coded : all failure codes of the run's recipe; not read where its outcome has none.
     """
 
     values: Mapping[str, Any]
@@ -63,6 +67,7 @@ class StoredVerdict:
     software: tuple[tuple[str, str], ...] = ()
     decision: Decision | None = None
     altered: str = ""
+    coded: tuple[FailureCode, ...] = ()
 
     @property
     def run(self) -> str:
@@ -132,7 +137,7 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
     places = zip(overrides.runs, overrides.columns["analysis"], strict=True)
     decided = dict(zip(places, overrides.tuples(_DECISION), strict=True))
     names = [name for name in own.columns if name not in _LONG_COLUMNS]
-    for run, values in zip(own.runs, own.tuples(names), strict=True):
+    for run, configuration, values in zip(own.runs, own.columns["configuration"], own.tuples(names), strict=True):
         facts, chain = dict(zip(names, values, strict=True)), known_chains[chains[run]]
         state, analysis = state_of.get(run), analysis_of.get(run)
         if run in altered:
@@ -143,8 +148,16 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
             raise TypeError("runs.simulated or runs.setting holds JSON of another shape")
         end, detail, station_s = state or (EndReason.RUNNING, "", 0.0)
         end = _ENDS.get(end) or read_word(EndReason, end, "run_states.end", f"run {run}")
-        verdict = StoredVerdict(facts, chain, end, detail, station_s)
+        coded = () if analysis and analysis[2] in _UNCODED else _read_failure_codes(configuration)
+        verdict = StoredVerdict(facts, chain, end, detail, station_s, coded=coded)
         yield verdict if analysis is None else _with_result(verdict, analysis, decided.get((run, analysis[0])))
+
+
+def _read_failure_codes(configuration: str) -> tuple[FailureCode, ...]:
+    """Return the codes of a stored recipe. Raise as reading a foreign cell where an unchained run holds others."""
+    if '"failure_codes"' not in configuration:
+        return ()
+    return read_failure_codes(json.loads(configuration)["recipe"].get("failure_codes", {}))
 
 
 def _with_result(
@@ -168,4 +181,5 @@ def _with_result(
         reason,
         tuple((package, version) for package, version in software),
         decision,
+        coded=verdict.coded,
     )

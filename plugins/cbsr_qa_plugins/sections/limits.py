@@ -60,7 +60,7 @@ class Decision(RunSection):
             yield Paragraph(_count_outcomes(judged))
             closest = judged[:_CLOSEST_ON_PAGE_ONE]
             caption = "Limits not met, or barely; the worst comes first." if unmet else "Closest to failing."
-            yield _limit_table(caption, unmet[:_MOST_ON_PAGE_ONE] or closest, _with_strains(judged))
+            yield _limit_table(result, caption, unmet[:_MOST_ON_PAGE_ONE] or closest, _with_strains(judged))
         if len(unmet) > _MOST_ON_PAGE_ONE:
             yield Paragraph(f"{plural(len(unmet) - _MOST_ON_PAGE_ONE, 'more limit')}: see annex Limits.", "note")
         yield from map(Paragraph, _describe_errors(result))
@@ -99,7 +99,7 @@ class Limits(RunSection):
         if result.limits_version is not None:
             yield Paragraph(_version_words(result.limits_version, judged))
         if judged:
-            yield from (*_location_blocks(result, judged), *_limit_tables(judged))
+            yield from (*_location_blocks(result, judged), *_limit_tables(result, judged))
         determined = [m for m in others if m.value is not None]
         # Apart: as columns beside each other they do not fit a page.
         for part in ([m for m in determined if m.phase], [m for m in determined if not m.phase]):
@@ -144,20 +144,26 @@ def _sort_by_severity(judged: Sequence[Measurement]) -> list[Measurement]:
     return sorted(judged, key=lambda m: (SEVERITY.index(m.outcome), relative_margin(m)))
 
 
-def _limit_tables(judged: Sequence[Measurement]) -> list[Table]:
+def _limit_tables(result: RunResult, judged: Sequence[Measurement]) -> list[Table]:
     order, strains = _sort_by_severity(judged), _with_strains(judged)
     caption = "Limits. Margin: distance from the nearer bound, negative outside."
     if len(order) <= _MAX_LIMITS:
-        return [_limit_table(caption, order, strains)]
+        return [_limit_table(result, caption, order, strains)]
     first = max(_CLOSEST, sum(m.outcome is not Outcome.PASS for m in order))
-    rest = _limit_table("The other limits, all further from failing.", order[first:], strains)
-    return [_limit_table(caption, order[:first], strains), replace(rest, folded=True)]
+    rest = _limit_table(result, "The other limits, all further from failing.", order[first:], strains)
+    return [_limit_table(result, caption, order[:first], strains), replace(rest, folded=True)]
 
 
-def _limit_table(caption: str, judged: Sequence[Measurement], strains: frozenset[str]) -> Table:
+def _limit_table(
+    result: RunResult, caption: str, judged: Sequence[Measurement], strains: frozenset[str]
+) -> Table:
     versioned = any(m.limit and m.limit.version for m in judged)
     columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
-    return text_table(caption, columns, [_limit_row(m, m.phase in strains, versioned) for m in judged], (2, 3, 4))
+    rows = [_limit_row(m, m.phase in strains, versioned) for m in judged]
+    codes = ["; ".join(code.words for code in result.codes_of(m)) for m in judged]
+    if any(codes):
+        columns, rows = (*columns, "Code"), [[*row, code] for row, code in zip(rows, codes, strict=True)]
+    return text_table(caption, columns, rows, (2, 3, 4))
 
 
 def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:

@@ -21,7 +21,7 @@ from cbsr_qa.config.merging import add_batch_model, merge
 from cbsr_qa.config.paths import batch_file
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
-from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome
 from cbsr_qa.domain.plan.plan import SyncSettings
 from cbsr_qa.domain.results.charts import ChartReference
 from cbsr_qa.domain.results.measurement import Measurement
@@ -425,3 +425,11 @@ def test_a_golden_check_that_is_not_signed_does_not_count_where_a_key_is_set(ask
     answer = ask("golden")
     assert answer.outcome is not GateOutcome.PASSED
     assert "is not signed, and a signing key is set" in answer.words
+
+
+def test_a_refusal_names_the_failure_code_that_the_recipe_gives_the_check(ask, merged, store):
+    store_run(store, "S-1", GOOD)
+    code = FailureCode("G1", "tested before", "return it", ("retest",))
+    coded = replace(merged, recipe=replace(merged.recipe, failure_codes=(code,)))
+    assert ask("retest", configuration=coded).words.endswith("; G1 tested before: return it")
+    assert "G1" not in ask("disk", configuration=coded, disk_GB=1e9).words

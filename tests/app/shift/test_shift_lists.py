@@ -131,7 +131,7 @@ def test_csv_is_safe_to_open_in_a_spreadsheet(shift, capsys, tmp_path):
     rows = list(csv.DictReader(io.StringIO(text)))
     assert [row["run"] for row in rows] == list(names.values())
     assert rows[0]["operator"] == "'=Ada"
-    assert (rows[2]["failed_limits"], rows[3]["verdict"]) == (f"{ERROR} (nine locations); {DRIFT}", "")
+    assert (rows[2]["failed_limits"], rows[3]["verdict"]) == (f"{DRIFT}; {ERROR} (nine locations)", "")
     capsys.readouterr()
     assert run_guarded(["sensors", "--csv", "-", "--database", url]) == 0
     assert capsys.readouterr().out.startswith("serial,batch,")
