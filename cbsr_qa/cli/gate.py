@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database
+from cbsr_qa.cli.options import AsJson, Database, Parts
 from cbsr_qa.cli.output import show
 
 
@@ -15,6 +15,7 @@ def gate(
     recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")],
     serial: Annotated[str, typer.Option(help="Serial number of the sensor.")],
     batch: Annotated[str, typer.Option(help="Material batch of the sensor.")] = "",
+    part: Parts = None,
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
     material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
@@ -27,6 +28,7 @@ def gate(
     """
     from cbsr_qa.app.run.preview import preview_gate
     from cbsr_qa.app.run.request import RunRequest
+    from cbsr_qa.config.serials import read_parts
 
     request = RunRequest(
         station=station,
@@ -37,6 +39,7 @@ def gate(
         sensor_type=sensor_type,
         material=material,
         database=database,
+        parts=read_parts(part or ()),
     )
     return show(preview_gate(request), as_json=as_json)
 

@@ -18,7 +18,7 @@ from typing import TYPE_CHECKING, Annotated, Any, Final
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import Database
+from cbsr_qa.cli.options import Database, Parts
 from cbsr_qa.cli.output import note, read_pin, say
 from cbsr_qa.domain.errors import ConfigError, RefusedError
 
@@ -44,6 +44,7 @@ def line(
     recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")],
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     batch: Annotated[str, typer.Option(help="Material batch of the sensors.")] = "",
+    part: Parts = None,
     database: Database = None,
 ) -> int:
     """Test one sensor after the other: scan or type a serial number, wait for its verdict, scan the next.
@@ -55,7 +56,7 @@ def line(
     Exit code 0 whatever the verdicts, 2 if a name is not allowed, or the station file or the PIN is wrong.
     """
     from cbsr_qa.config.loader import load_station
-    from cbsr_qa.config.serials import validate_batch, validate_operator
+    from cbsr_qa.config.serials import read_parts, validate_batch, validate_operator
 
     validate_batch(batch)
     validate_operator(operator)
@@ -63,6 +64,7 @@ def line(
     value_by_option = {"--station": station, "--recipe": recipe, "--operator": operator, "--batch": batch}
     value_by_option["--database"] = database or ""
     options = [word for name, value in value_by_option.items() if value for word in (name, value)]
+    options += [f"--part={sensor_part}" for sensor_part in read_parts(part or ())]
     loop = _Line(bench.name, operator, [*options, "--prompts", "channel"], _pin_of(bench, operator))
     with loop.signals_heard():
         loop.work()

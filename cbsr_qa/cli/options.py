@@ -24,6 +24,16 @@ Database = Annotated[
 AsJson = Annotated[bool, typer.Option("--json", help="Print one JSON document and nothing else.")]
 Since = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs from this day on (UTC).")]
 Until = Annotated[datetime | None, typer.Option(formats=["%Y-%m-%d"], help="Runs to the end of this day (UTC).")]
+Parts = Annotated[
+    list[str] | None,
+    typer.Option(
+        "--part", metavar="NAME=ID[/REVISION]", help="Part of the sensor, as sheet=LOT7/B; may be repeated."
+    ),
+]
+OfParts = Annotated[
+    list[str] | None,
+    typer.Option("--part", metavar="NAME=ID[/REVISION]", help="Runs of sensors with this part; may be repeated."),
+]
 PublicKey = Annotated[
     Path | None, typer.Option(help="Public key that must have signed the calibration; any other file is refused.")
 ]

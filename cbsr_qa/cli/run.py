@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, document
-from cbsr_qa.cli.options import AsJson, Database, list_given_options, one_of, option_names
+from cbsr_qa.cli.options import AsJson, Database, Parts, list_given_options, one_of, option_names
 from cbsr_qa.cli.output import note, show
 
 #: Options a new run requires, and those allowed with --resume.
@@ -35,6 +35,7 @@ def run(
     recipe: Annotated[str, typer.Option(help="Recipe file, or the name of a shipped one.")] = "",
     serial: Annotated[str, typer.Option(help="Serial number of the sensor.")] = "",
     batch: Annotated[str, typer.Option(help="Material batch of the sensor.")] = "",
+    part: Parts = None,
     operator: Annotated[str, typer.Option(help="Name of the operator.")] = "",
     why: Annotated[str, typer.Option(metavar="TEXT", help="Reason for a changed recipe or station file.")] = "",
     sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
@@ -90,6 +91,8 @@ def run(
         )
         return show(run_outcome(outcome), as_json=as_json)
 
+    from cbsr_qa.config.serials import read_parts
+
     request = RunRequest(
         station=station,
         recipe=recipe,
@@ -103,6 +106,7 @@ def run(
         why=why,
         override=overridden,
         batch_model=batch_model,
+        parts=read_parts(part or ()),
     )
     if dry_run:
         from cbsr_qa.app.run.planned import plan_outcome

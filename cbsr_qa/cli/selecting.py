@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, Annotated, Final
 
 import typer
 
-from cbsr_qa.cli.options import Since, Until, to_day
+from cbsr_qa.cli.options import OfParts, Since, Until, to_day
 
 if TYPE_CHECKING:
     from cbsr_qa.app.shift.lists import ListRequest
@@ -28,6 +28,7 @@ class Selecting:
         list[str] | None, typer.Option(metavar="STATION", help="Runs at this station; may be repeated.")
     ] = None
     batch: Annotated[str | None, typer.Option(help="Runs of sensors of this batch.")] = None
+    part: OfParts = None
     operator: Annotated[
         list[str] | None, typer.Option(metavar="NAME", help="Runs by this operator; may be repeated.")
     ] = None
@@ -44,6 +45,7 @@ class Selecting:
     def request(self, *, latest: int | None, checks: bool = False) -> "ListRequest":
         """Return which runs the options select. RefusedError if two of them exclude each other."""
         from cbsr_qa.app.shift.lists import list_request
+        from cbsr_qa.config.serials import read_parts
 
         return list_request(
             today=self.today,
@@ -55,6 +57,7 @@ class Selecting:
             checks=checks,
             recipe=self.recipe,
             batch=self.batch,
+            parts=read_parts(self.part or ()),
             stations=tuple(self.station or ()),
             operators=tuple(self.operator or ()),
         )

@@ -41,6 +41,7 @@ class GateTable(Table):
     serial_pattern: Policy | None = None
     retest: Policy | None = None
     retest_runs: Count | None = None
+    parts: Policy | None = None
     calibration_due: Policy | None = None
     golden: Policy | None = None
     golden_hours: Annotated[float, Field(gt=0, le=87600)] | None = None

@@ -44,6 +44,7 @@ class Configuration:
     canonical : all files' content as canonical JSON (keys sorted, no blanks); paths of files are not in it,
         so the same content gives the same digest wherever it lies.
     serial_pattern : regular expression that serial numbers of the sensor type match; empty for any.
+    unique_parts : names of the parts of which each is of one sensor only.
     """
 
     station: Station
@@ -53,6 +54,7 @@ class Configuration:
     seed: int
     canonical: str
     serial_pattern: str = ""
+    unique_parts: tuple[str, ...] = ()
 
     @property
     def digest(self) -> str:
@@ -104,7 +106,7 @@ def merge(
         material.value,
         seed,
         canonical_json(content),
-        _serial_pattern(sensor_type.document.data),
+        *_sensor_rules(sensor_type.document.data),
     )
 
 
@@ -139,7 +141,7 @@ def restore(canonical: str) -> Configuration:
         load_material(content["material"]).value,
         int(content["seed"]),
         canonical,
-        _serial_pattern(content["sensor_type"]),
+        *_sensor_rules(content["sensor_type"]),
     )
 
 
@@ -258,8 +260,10 @@ def canonical_json(content: Any) -> str:
     )
 
 
-def _serial_pattern(sensor_type: Mapping[str, Any]) -> str:
-    return str(sensor_type["sensor_type"].get("serial_pattern", ""))
+def _sensor_rules(sensor_type: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]:
+    """Return the pattern of serial numbers, and the parts that are unique."""
+    table = sensor_type["sensor_type"]
+    return str(table.get("serial_pattern", "")), tuple(table.get("unique_parts", ()))
 
 
 def _plain(value: object) -> object:

@@ -60,6 +60,7 @@ class SensorTypeTable(Table):
     thickness_mm: Positive
     response: Literal["increase", "decrease", "auto"] = "auto"
     serial_pattern: Annotated[str, AfterValidator(check_serial_pattern)] | None = None
+    unique_parts: list[Name] = Field(default_factory=list)
 
 
 class ElectrodesTable(Table):

@@ -2,9 +2,11 @@
 
 import re
 import unicodedata
+from collections.abc import Sequence
 from typing import Any
 
 from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.system.words import echo
 
 LONGEST = 64
@@ -15,6 +17,7 @@ LONGEST_REASON = 500
 #: Longest pattern of serial numbers [characters].
 LONGEST_PATTERN = 200
 
+_PART_REMEDY = f"give NAME=IDENTIFIER or NAME=IDENTIFIER/REVISION, each up to {LONGEST} characters: sheet=LOT7/B"
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -32,6 +35,47 @@ def validate_serial(text: str) -> str:
 def validate_batch(text: str) -> str:
     """Return a valid batch name, by the rule for serial numbers; may be empty."""
     return _identifier("batch", text) if text else ""
+
+
+def read_parts(texts: Sequence[str]) -> tuple[SensorPart, ...]:
+    """Return parts of a sensor, typed or scanned as ``NAME=IDENTIFIER/REVISION``, sorted by name.
+
+    The revision, after the last ``/``, may be left out.
+
+    Raises
+    ------
+    ConfigError
+        If one has no ``=``, a name or an identifier that cannot be used, or if a name is given twice.
+    """
+    part_by_name: dict[str, SensorPart] = {}
+    for text in texts:
+        name, equals, content = text.partition("=")
+        if not equals:
+            raise ConfigError(f"part {echo(text, 24)} has no =", remedy=_PART_REMEDY)
+        _identifier("name of a part", name)
+        identifier, slash, revision = content.rpartition("/")
+        part = SensorPart(name, identifier, revision) if slash else SensorPart(name, content)
+        for noun, value in (("identifier", part.identifier), *((("revision", revision),) if slash else ())):
+            if finding := _find_odd(value):
+                raise ConfigError(f"{noun} {echo(value, 24)} of part {name} {finding}", remedy=_PART_REMEDY)
+        if name in part_by_name:
+            raise ConfigError(
+                f"part {name} is given twice: {part_by_name[name]} and {part}", remedy="a sensor has one of each name"
+            )
+        part_by_name[name] = part
+    return tuple(part_by_name[name] for name in sorted(part_by_name))
+
+
+def _find_odd(value: str) -> str:
+    """Say why a text cannot identify a part; empty if it can."""
+    if not value:
+        return "is empty"
+    if len(value) > LONGEST:
+        return f"is longer than {LONGEST} characters"
+    if value != value.strip():
+        return "starts or ends with a blank"
+    odd = next((character for character in value if not character.isprintable()), "")
+    return f"has the character {odd!r}" if odd else ""
 
 
 def validate_operator(text: str) -> str:

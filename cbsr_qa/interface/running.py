@@ -8,6 +8,7 @@ from cbsr_qa.app.run.console import Unattended
 from cbsr_qa.app.run.outcome import run_outcome
 from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.run import run_sensor
+from cbsr_qa.config.serials import read_parts
 from cbsr_qa.interface.result import Progress, quiet
 from cbsr_qa.interface.stored_run import Run
 
@@ -37,6 +38,7 @@ def run(
     recipe: str | Path,
     serial: str,
     batch: str = "",
+    parts: Sequence[str] = (),
     operator: str = "",
     why: str = "",
     sensor_type: str | Path | None = None,
@@ -56,6 +58,7 @@ def run(
 
     Parameters
     ----------
+    parts : parts of the sensor, each as ``"sheet=LOT7/B"``.
     ask : shows a prompt of the recipe and returns the answer, e.g. ``input``; None refuses recipes with prompts.
     pin : shows a text and returns the operator's PIN, e.g. ``getpass.getpass``.
     progress : receives what is being done, in words, e.g. ``print``; by default nothing is shown.
@@ -74,6 +77,7 @@ def run(
         recipe=str(recipe),
         serial=serial,
         batch=batch,
+        parts=read_parts(parts),
         operator=operator,
         sensor_type=None if sensor_type is None else str(sensor_type),
         material=None if material is None else str(material),

@@ -40,6 +40,7 @@ def run_page(result: RunResult) -> Page:
     facts = (
         ("Sensor", identity.sensor.serial),
         ("Batch", identity.sensor.batch or "not stated"),
+        *([("Parts", ", ".join(map(str, identity.parts)))] if identity.parts else []),
         ("Type", identity.sensor.sensor_type),
         ("Material", record.material.name),
         ("Station", identity.station),

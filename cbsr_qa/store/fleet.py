@@ -178,6 +178,7 @@ def _line(verdict: StoredVerdict, shared: dict[Any, Any], *, of_check: bool) -> 
         reason=verdict.reason,
         overridden_to=None if verdict.decision is None else verdict.decision.outcome,
         altered=verdict.altered,
+        parts=shared.setdefault(verdict.parts, verdict.parts),
     )
 
 

@@ -17,7 +17,7 @@ from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
 from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.selected import Conditions, conditions
-from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.tables.runs import PartRow, RunRow
 from cbsr_qa.store.types import first_id
 from cbsr_qa.store.unreadable_runs import read_apart
 
@@ -45,7 +45,7 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
 def find_altered_outside(
     connection: Connection, within: Conditions, known: Collection[str], latest: int | None = None
 ) -> dict[str, str]:
-    """Return the problems of the rows of ``runs`` that do not match their links, by run.
+    """Return the problems of the rows of ``runs`` and ``run_parts`` that do not match their links, by run.
 
     Parameters
     ----------
@@ -65,8 +65,8 @@ def find_altered_outside(
 
 
 def _find_altered(connection: Connection, runs: Collection[str]) -> dict[str, str]:
-    rows = read_rows(connection, RunRow, sorted(runs))
-    return find_altered(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows])
+    rows, parts = (read_rows(connection, table, sorted(runs)) for table in (RunRow, PartRow))
+    return find_altered(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows, parts])
 
 
 def _within(selection: RunSelection, selected: Collection[str]) -> Conditions:

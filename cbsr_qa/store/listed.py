@@ -210,6 +210,7 @@ def _run(
         chain=verdict.chain,
         altered=altered,
         coded=verdict.coded,
+        parts=verdict.parts,
     )
 
 

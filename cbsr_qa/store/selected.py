@@ -11,7 +11,7 @@ from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.store.chain.check import unreadable
 from cbsr_qa.store.damage import FOREIGN_CELL
 from cbsr_qa.store.golden import golden_runs
-from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.tables.runs import PartRow, RunRow
 
 Conditions: TypeAlias = list[ColumnElement[bool]]
 
@@ -64,6 +64,9 @@ def conditions(selection: RunSelection) -> Conditions:
     """Return a selection as conditions on rows of ``runs``."""
     chosen: Conditions = [RunRow.serial.in_(selection.serials)] if selection.serials else []
     chosen += [column.in_(names) for column, names in zip(_BY_NAME, _names(selection), strict=True) if names]
+    for part in selection.parts:
+        of_part = select(PartRow.run).where(PartRow.name == part.name, PartRow.identifier == part.identifier)
+        chosen.append(RunRow.run.in_(of_part.where(PartRow.revision == part.revision) if part.revision else of_part))
     if selection.since is not None:
         chosen.append(RunRow.started_at >= datetime.combine(selection.since, time(), UTC))
     if selection.until is not None:

@@ -63,6 +63,9 @@ def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[t
         for name in (selected,) if isinstance(selected, str) else selected or ():
             if name not in known_names:
                 yield noun, field, name, known_names
+    for selected_part in selection.parts:
+        if not any(selected_part.selects(part) for run in runs for part in run.parts):
+            yield "part", "parts", str(selected_part), {str(part) for run in runs for part in run.parts}
 
 
 def check_names(store: Repository, selection: RunSelection, at: Callable[[str], str] = lambda field: "") -> None:
@@ -181,7 +184,7 @@ def measuring_digest(configuration: str, adopted: str = "") -> str:
     content = json.loads(configuration)
     recipe = json.loads(adopted) if adopted else _table(content, "recipe")
     sensor_type = {
-        key: {name: value for name, value in table.items() if name != "serial_pattern"}
+        key: {name: value for name, value in table.items() if name not in ("serial_pattern", "unique_parts")}
         if isinstance(table, dict)
         else table
         for key, table in _table(content, "sensor_type").items()

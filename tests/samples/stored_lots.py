@@ -10,6 +10,7 @@ from unittest.mock import patch
 import numpy as np
 from stored_runs import SETTING, short_run
 
+from cbsr_qa.config.serials import read_parts
 from cbsr_qa.domain.plan.limits import Limit
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.run_result import RunResult
@@ -78,6 +79,7 @@ def store_run(repository, serial, measurements, *, batch="golden", recipe="short
         recipe=recipe,
         station=changes.get("station", started.identity.station),
         operator=changes.get("operator", started.identity.operator),
+        parts=read_parts(changes.get("parts", ())),
         configuration_digest=hashlib.sha256(configuration.encode()).hexdigest(),
         started_at=started.identity.started_at + timedelta(days=day),
     )

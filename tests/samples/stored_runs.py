@@ -38,7 +38,7 @@ from cbsr_qa.domain.run.run import (
 )
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.mesh import Mesh
-from cbsr_qa.domain.sensor.sensor_type import Response, SensorIdentity
+from cbsr_qa.domain.sensor.sensor_type import Response, SensorIdentity, SensorPart
 
 CONFIGURATION = '{"layout":1,"note":"Δρ"}'
 SENSOR_TYPE = load_sensor_type("disc-100mm").value
@@ -63,6 +63,7 @@ def identity(run, serial="S-1"):
             InstrumentIdentity("applicator", "marlin", "MK3", "9", "1", True),
         ),
         simulated=("the sheet",),
+        parts=(SensorPart("board", "B-9"), SensorPart("sheet", "LOT7", "B")),
     )
 
 

@@ -195,6 +195,7 @@ def run_attributes(record: RunRecord, listed: ListedRun) -> dict[str, str | floa
         "run": identity.run,
         "serial": identity.sensor.serial,
         "batch": identity.sensor.batch,
+        "parts": "; ".join(map(str, identity.parts)),
         "sensor_type": identity.sensor.sensor_type,
         "material": record.material.name,
         "station": identity.station,

@@ -50,7 +50,8 @@ def suite(run: ListedRun, judged: Sequence[Measurement]) -> bytes:
     properties = SubElement(element, "properties")
     for name in _PROPERTIES:
         SubElement(properties, "property", name=name, value=_text(str(getattr(run, name) or "")))
-    SubElement(properties, "property", name="failure_codes", value="; ".join(map(str, run.failure_codes)))
+    for name in ("parts", "failure_codes"):
+        SubElement(properties, "property", name=name, value=_text("; ".join(map(str, getattr(run, name)))))
     results = Counter[str]()
     for name, kind, category, text in _cases(run, judged):
         # Recipe and sensor: servers take what is before the last dot for a package.

@@ -38,6 +38,7 @@ _RUN: Final[dict[str, type]] = {
     "overridden_why": str,
     "failed_limits": tuple,
     "failure_codes": tuple,
+    "parts": tuple,
     "number": int,
     "of_check": bool,
     "simulated": bool,

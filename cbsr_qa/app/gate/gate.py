@@ -7,7 +7,7 @@ from typing import Final
 from cbsr_qa.app.gate.disk import enough_disk
 from cbsr_qa.app.gate.people import operator_known
 from cbsr_qa.app.gate.request import Asked, Finding, GateRequest
-from cbsr_qa.app.gate.sensor import retest_allowed, serial_fits
+from cbsr_qa.app.gate.sensor import parts_unused, retest_allowed, serial_fits
 from cbsr_qa.app.gate.station_state import (
     backlog_sent,
     charts_in_control,
@@ -28,6 +28,7 @@ from cbsr_qa.system.clock import RealClock
 CHECKS: Final[Mapping[GateCheck, Callable[[Asked], Finding]]] = {
     GateCheck.SERIAL_PATTERN: serial_fits,
     GateCheck.RETEST: retest_allowed,
+    GateCheck.PARTS: parts_unused,
     GateCheck.CALIBRATION_DUE: instruments_in_date,
     GateCheck.GOLDEN: golden_measured,
     GateCheck.CHARTS: charts_in_control,

@@ -11,7 +11,7 @@ from cbsr_qa.config.merging import Configuration
 from cbsr_qa.config.serials import validate_operator, validate_reason
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.gate import GateCheck, GateSettings
-from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity, SensorPart
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.words import echo
@@ -53,7 +53,7 @@ class GateRequest:
 
     Parameters
     ----------
-    serial, batch, operator : checked names.
+    serial, batch, operator, parts : checked names.
     override : checked override.
     golden : whether the run measures the golden sensor of a station check.
     resumed : whether the run goes on with earlier loads.
@@ -75,6 +75,7 @@ class GateRequest:
     pin: Callable[[str], str] | None = None
     preview: bool = False
     tested_by: str = ""
+    parts: tuple[SensorPart, ...] = ()
 
 
 class Finding(NamedTuple):

@@ -1,4 +1,4 @@
-"""The sensor: its serial number, and how often it may be tested."""
+"""The sensor: its serial number, how often it may be tested, and its parts."""
 
 from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.config.serials import fits_pattern
@@ -60,6 +60,21 @@ def retest_allowed(asked: Asked) -> Finding:
         f"{count}; no more than {most_runs} allowed, so it may not be tested again",
         "set the sensor aside: it has failed as often as allowed",
     )
+
+
+def parts_unused(asked: Asked) -> Finding:
+    """Look for another sensor with a part that the sensor type calls unique; a revision makes no other part."""
+    unique_parts = [part for part in asked.request.parts if part.name in asked.configuration.unique_parts]
+    if not unique_parts:
+        return Finding(None, "no part of this sensor is unique by its sensor type")
+    for part in unique_parts if asked.store is not None else ():
+        assert asked.store is not None
+        runs = asked.store.sensors.find_runs_of_part(part)
+        others = [(run, serial) for run, serial in runs if serial != asked.request.serial]
+        if others:
+            run, serial = others[-1]
+            return Finding(False, f"{part} is of sensor {serial} too (run {run})", "scan sensor and part again")
+    return Finding(True, f"{', '.join(map(str, unique_parts))} of no other sensor")
 
 
 def _final_outcome(run: EarlierRun) -> Outcome | None:

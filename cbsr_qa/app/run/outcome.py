@@ -20,6 +20,7 @@ from cbsr_qa.domain.run.changes import ConfigurationChange, EarlierRun, SensorHi
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.run import ChainState, PressDecided, RunRecord
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.report.document import ChosenParameter
 from cbsr_qa.report.heads import list_codes, run_page
 from cbsr_qa.report.station import gate_words
@@ -196,6 +197,7 @@ class RunOutcome:
 
     run: str
     serial: str
+    parts: tuple[SensorPart, ...]
     end: EndReason
     end_detail: str
     resume: str | None
@@ -244,6 +246,7 @@ class RunOutcome:
         return cls(
             run=record.identity.run,
             serial=record.identity.sensor.serial,
+            parts=record.identity.parts,
             end=record.end,
             end_detail=record.end_detail,
             resume=resume or None,

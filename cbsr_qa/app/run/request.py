@@ -15,6 +15,7 @@ from cbsr_qa.config.paths import calibrations_folder, check_folder, database_url
 from cbsr_qa.config.serials import validate_batch, validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.station.setup import configure
 from cbsr_qa.store.engine import parse_url, sqlite_file
@@ -32,6 +33,7 @@ class RunRequest:
     ----------
     override : override of the gate's refusals.
     golden : whether it measures the golden sensor of a station check.
+    parts : parts of the sensor, checked by :func:`~cbsr_qa.config.serials.read_parts`.
     batch_model : file of the batch's model, for recipes that take it as prior; None for the newest of the batch.
     """
 
@@ -48,6 +50,7 @@ class RunRequest:
     override: Override = field(default_factory=Override)
     golden: bool = False
     batch_model: Path | None = None
+    parts: tuple[SensorPart, ...] = ()
 
     def validate(self) -> Self:
         """Return itself. Raise ConfigError if serial, batch, operator, reason or override is not allowed."""

@@ -109,4 +109,5 @@ def _identity(run: str, asked: GateRequest, session: Session) -> RunIdentity:
         simulated=tuple(
             f"{instrument.role}: {instrument.model}" for instrument in instruments if instrument.simulated
         ),
+        parts=asked.parts,
     )

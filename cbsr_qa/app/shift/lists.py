@@ -13,6 +13,7 @@ from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.listed import ALTERED, ListedRun
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.report.tables import plural
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.selection import check_names, nearest
@@ -95,6 +96,7 @@ class RunEntry:
     overridden_by, overridden_why : operator and reason of the override; None without one.
     failed_limits : limits for which it counts as failed, as recipes write them, the worst first.
     failure_codes : codes of what failed by the run's own recipe, the worst first; an override keeps them.
+    parts : parts of the sensor.
     number : number of this try of the recipe on the sensor, from 1; runs that did not finish do not count.
     of_check : whether the run is a golden sensor's, made to check its station.
     chain : ``unchained`` (nothing would tell if it was altered), ``chained``, ``signed``, ``signature not checked``
@@ -118,6 +120,7 @@ class RunEntry:
     overridden_why: str | None
     failed_limits: tuple[str, ...]
     failure_codes: tuple[FailureCode, ...]
+    parts: tuple[SensorPart, ...]
     number: int
     of_check: bool
     simulated: bool
@@ -300,6 +303,7 @@ def _split_selection(selection: RunSelection) -> Iterator[RunSelection]:
     yield from (RunSelection(operators=(name,)) for name in selection.operators)
     yield from (RunSelection(recipe=name) for name in (selection.recipe,) if name is not None)
     yield from (RunSelection(batch=name) for name in (selection.batch,) if name is not None)
+    yield from (RunSelection(parts=(part,)) for part in selection.parts)
 
 
 def _notes(request: ListRequest, runs: Sequence[ListedRun], kept: Sequence[object]) -> tuple[str, ...]:

@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, group
-from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, to_day
+from cbsr_qa.cli.options import AsJson, Database, OfParts, PageOutput, Since, Until, to_day
 from cbsr_qa.cli.output import Counting, check_page, note, show
 
 group("batch", "Learn what the sensors of a batch have in common.")
@@ -20,6 +20,7 @@ def model(
     ] = None,
     material: Annotated[str | None, typer.Option(help="Only this material, if the batch holds several.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    part: OfParts = None,
     since: Since = None,
     until: Until = None,
     without: Annotated[
@@ -38,6 +39,7 @@ def model(
 
     It rests on the latest run of each sensor that passed and is under a chain.
     """
+    from cbsr_qa.config.serials import read_parts
     from cbsr_qa.domain.results.fleet import RunSelection
     from cbsr_qa.studies.batch.choice import BatchChoice
     from cbsr_qa.studies.batch.file import check_new, write_model
@@ -48,7 +50,9 @@ def model(
     if to is not None:
         check_new(to)
     choice = BatchChoice(
-        runs=RunSelection(batch=batch, recipe=recipe, since=to_day(since), until=to_day(until)),
+        runs=RunSelection(
+            batch=batch, recipe=recipe, since=to_day(since), until=to_day(until), parts=read_parts(part or ())
+        ),
         sensor_type=sensor_type,
         material=material,
         without=tuple(without or ()),

@@ -7,7 +7,16 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, PageOutput, list_given_options, one_of, option_names, to_day
+from cbsr_qa.cli.options import (
+    AsJson,
+    Database,
+    OfParts,
+    PageOutput,
+    list_given_options,
+    one_of,
+    option_names,
+    to_day,
+)
 from cbsr_qa.cli.output import check_page, show
 from cbsr_qa.domain.errors import RefusedError
 
@@ -24,6 +33,7 @@ def charts(
         str | None, typer.Option(help="Name of the station, as stored with its runs; without it, charts are listed.")
     ] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    part: OfParts = None,
     golden: Annotated[str, typer.Option(metavar="SERIAL", help="Chart this golden sensor, not production.")] = "",
     metric: Annotated[
         list[str] | None, typer.Option(metavar="METRIC", help="What to chart; may be repeated.")
@@ -61,6 +71,7 @@ def charts(
     """
     if station is None:
         raise typer.Exit(_list_all(context, database=database, as_json=as_json))
+    from cbsr_qa.config.serials import read_parts
     from cbsr_qa.domain.results.charts import ChartKind
     from cbsr_qa.studies.charts.charts import control_charts
     from cbsr_qa.studies.charts.report import charts_outcome
@@ -75,6 +86,7 @@ def charts(
     request = ChartsRequest(
         station=station,
         recipe=recipe,
+        parts=read_parts(part or ()),
         golden=golden or None,
         metrics=tuple(dict.fromkeys(metric or ())),
         by_location=by_location,

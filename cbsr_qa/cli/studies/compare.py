@@ -5,7 +5,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until
+from cbsr_qa.cli.options import AsJson, Database, OfParts, PageOutput, Since, Until
 from cbsr_qa.cli.output import check_page, show
 
 
@@ -19,6 +19,7 @@ def compare(
         list[str] | None, typer.Option(metavar="METRIC", help="Only this metric; may be repeated.")
     ] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    part: OfParts = None,
     since: Since = None,
     until: Until = None,
     margin: Annotated[
@@ -57,6 +58,7 @@ def compare(
     nothing could be compared.
     """
     from cbsr_qa.cli.options import one_of, to_day
+    from cbsr_qa.config.serials import read_parts
     from cbsr_qa.domain.errors import RefusedError
     from cbsr_qa.domain.results.fleet import RunSelection
     from cbsr_qa.studies.compare.comparison import compare_groups
@@ -89,7 +91,8 @@ def compare(
         margins=read_amounts(margin or (), "--margin"),
         detect=read_amounts(detect or (), "--detect"),
     )
-    selection = RunSelection(recipe=recipe, since=to_day(since), until=to_day(until))
+    parts = read_parts(part or ())
+    selection = RunSelection(recipe=recipe, since=to_day(since), until=to_day(until), parts=parts)
     check_page(output)  # before anything is computed
     comparison = compare_groups(selection, terms, database=database, now=RealClock().wall())
     raise typer.Exit(show(compare_outcome(comparison), output=output, as_json=as_json))

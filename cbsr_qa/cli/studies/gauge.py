@@ -6,7 +6,17 @@ from typing import Annotated, Final
 import typer
 
 from cbsr_qa.cli.command import command
-from cbsr_qa.cli.options import AsJson, Database, PageOutput, Since, Until, list_given_options, option_names, to_day
+from cbsr_qa.cli.options import (
+    AsJson,
+    Database,
+    OfParts,
+    PageOutput,
+    Since,
+    Until,
+    list_given_options,
+    option_names,
+    to_day,
+)
 from cbsr_qa.cli.output import check_page, show
 
 #: Options allowed with a study's file, which states the others.
@@ -21,6 +31,7 @@ def gauge(
     ] = None,
     serials: Annotated[str | None, typer.Option(metavar="S1,S2,…", help="Sensors of the study.")] = None,
     recipe: Annotated[str | None, typer.Option(help="Runs of the recipe of this name.")] = None,
+    part: OfParts = None,
     stations: Annotated[str | None, typer.Option(metavar="A,B,…", help="Runs on these stations.")] = None,
     metric: Annotated[
         list[str] | None,
@@ -56,6 +67,7 @@ def gauge(
 
     Describe the study (sensors, stations, metrics, tolerances, days) in STUDY.toml or by options.
     """
+    from cbsr_qa.config.serials import read_parts
     from cbsr_qa.domain.results.fleet import RunSelection
     from cbsr_qa.studies.gauge.references import references_of
     from cbsr_qa.studies.gauge.report import gauge_outcome
@@ -74,6 +86,7 @@ def gauge(
                 stations=_names(stations),
                 since=to_day(since),
                 until=to_day(until),
+                parts=read_parts(part or ()),
             ),
             metrics=tuple(map(MetricWanted, dict.fromkeys(metric or ()))),
             by_location=by_location,

@@ -11,6 +11,7 @@ class GateCheck(StrEnum):
 
     SERIAL_PATTERN = "serial_pattern"  #: the serial number fits the pattern of the sensor type
     RETEST = "retest"  #: the sensor has not passed this recipe yet, or may be tested again
+    PARTS = "parts"  #: no part that is unique is of another sensor
     CALIBRATION_DUE = "calibration_due"  #: no instrument is past its calibration date
     GOLDEN = "golden"  #: a golden sensor was measured not long ago, and passed
     CHARTS = "charts"  #: no control chart of the station signals
@@ -32,6 +33,7 @@ class GatePolicy(StrEnum):
 #: Policies of a station file without a ``[gate]`` table.
 GATE_DEFAULTS: Final[Mapping[GateCheck, GatePolicy]] = dict.fromkeys(GateCheck, GatePolicy.OFF) | {
     GateCheck.SERIAL_PATTERN: GatePolicy.REFUSE,  # only of a sensor type that states one
+    GateCheck.PARTS: GatePolicy.WARN,  # only of parts that the sensor type calls unique
     GateCheck.CALIBRATION_DUE: GatePolicy.WARN,
     GateCheck.BEFORE_RUN: GatePolicy.REFUSE,  # only with a plugin that implements it
 }

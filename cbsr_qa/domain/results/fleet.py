@@ -14,6 +14,7 @@ from cbsr_qa.domain.plan.limits import Outcome, name_limit
 from cbsr_qa.domain.results.measurement import metric_words
 from cbsr_qa.domain.run.run import run_named
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 
 #: Ways to calibrate, see :class:`CalibrationWay`.
 FIXED, ADAPTIVE, UNCALIBRATED = "fixed places", "adaptive", "no calibration"
@@ -59,6 +60,7 @@ class RunSelection:
     checks : False leaves out runs of golden sensors that checked a station.
     after, up_to : runs whose identifiers sort after the one and not after the other; empty for no bound.
     latest : largest number of runs, the latest; None for all.
+    parts : parts of the sensor, all of them; a revision may be left empty.
 
     Raises
     ------
@@ -79,6 +81,7 @@ class RunSelection:
     latest: int | None = None
     from_moment: datetime | None = None
     before_moment: datetime | None = None
+    parts: tuple[SensorPart, ...] = ()
 
     def __post_init__(self) -> None:
         if self.since and self.until and self.since > self.until:
@@ -148,6 +151,7 @@ class RunLine:
     overridden_to: Outcome | None = None
     altered: str = ""
     way: CalibrationWay | None = None
+    parts: tuple[SensorPart, ...] = ()
 
     @property
     def verdict(self) -> Outcome | None:

@@ -8,6 +8,7 @@ from cbsr_qa.domain.plan.limits import FailureCode, Outcome, select_failure_code
 from cbsr_qa.domain.results.fleet import MetricKey
 from cbsr_qa.domain.run.run import UNCHAINED, ChainState
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 
 #: Word in place of a verdict, where a run does not match its chain.
 ALTERED: Final = "altered"
@@ -44,6 +45,7 @@ class ListedRun:
     altered : description of what does not match the chain, also its ``reason`` then; it has no outcome and no
         verdict. Empty where nothing does.
     coded : all failure codes of its recipe; not read where its outcome has none.
+    parts : parts of its sensor; none where it was altered.
     """
 
     run: str
@@ -67,6 +69,7 @@ class ListedRun:
     chain: ChainState = UNCHAINED
     altered: str = ""
     coded: tuple[FailureCode, ...] = ()
+    parts: tuple[SensorPart, ...] = ()
 
     @property
     def failure_codes(self) -> tuple[FailureCode, ...]:

@@ -33,6 +33,7 @@ from cbsr_qa.domain.run.step_documents import (
     StepStartedDocument,
     document_of,
 )
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 
 #: Raised by one when a key is removed or changes its meaning. New keys and new types of events do not raise it.
 EVENT_SCHEMA_VERSION: Final = 1
@@ -83,6 +84,7 @@ class RunStartedDocument:
     software: dict[str, str]
     instruments: tuple[InstrumentIdentity, ...]
     simulated: tuple[str, ...]
+    parts: tuple[SensorPart, ...]
 
 
 @document_of.register

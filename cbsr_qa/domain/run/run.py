@@ -15,7 +15,7 @@ from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
 from cbsr_qa.domain.run.attendance import AskedPrompt, AttendanceEvent, Pause
 from cbsr_qa.domain.run.gate import GateAnswer
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.domain.sensor.sensor_type import Material, SensorIdentity, SensorType
+from cbsr_qa.domain.sensor.sensor_type import Material, SensorIdentity, SensorPart, SensorType
 
 _NONE: Final = "no chain: it was removed; changes cannot be detected"
 
@@ -102,6 +102,7 @@ class RunIdentity:
     software : distribution name → version, of this package, its plugins and its numerical libraries.
     instruments : instruments on the bench.
     simulated : simulated parts in words; empty for a real bench.
+    parts : parts of the sensor, each name once, sorted by name.
     """
 
     run: str
@@ -114,6 +115,7 @@ class RunIdentity:
     software: tuple[tuple[str, str], ...]
     instruments: tuple[InstrumentIdentity, ...]
     simulated: tuple[str, ...] = ()
+    parts: tuple[SensorPart, ...] = ()
 
     @property
     def words(self) -> str:

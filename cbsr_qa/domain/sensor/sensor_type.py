@@ -238,3 +238,28 @@ class SensorIdentity:
     serial: str
     batch: str
     sensor_type: str
+
+
+@dataclass(frozen=True, slots=True)
+class SensorPart:
+    """What a sensor was made with: a sheet's lot, a board.
+
+    Parameters
+    ----------
+    name : e.g. ``"sheet"``.
+    identifier : of the lot, or of the part itself.
+    revision : may be empty; in a selection empty stands for any.
+    """
+
+    name: str
+    identifier: str
+    revision: str = ""
+
+    def __str__(self) -> str:
+        revision = f"/{self.revision}" if self.revision else ""
+        return f"{self.name}={self.identifier}{revision}"
+
+    def selects(self, part: "SensorPart") -> bool:
+        """Whether a part is the one that a selection means."""
+        same = (self.name, self.identifier) == (part.name, part.identifier)
+        return same and self.revision in ("", part.revision)

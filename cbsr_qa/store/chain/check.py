@@ -41,7 +41,7 @@ from cbsr_qa.store.tables.runs import Base, RunRow, RunStateRow
 RESULTS: Final = frozenset(
     {"runs", FIGURES, *(name for name, key in KEYS.items() if key in (("analysis",), ("calibration",)))}
 )
-IDENTITY: Final = frozenset({"runs", "instruments"})
+IDENTITY: Final = frozenset({"runs", "instruments", "run_parts"})
 ALL_KINDS: Final = frozenset({*KEYS, FIGURES})
 #: Documents that state what followed from the data of a run, or what people decided.
 _CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}

@@ -49,6 +49,7 @@ from cbsr_qa.store.tables.runs import (
     FrameBlockRow,
     InstrumentRow,
     LoadRow,
+    PartRow,
     PhaseEndRow,
     PhaseRow,
     RunRow,
@@ -67,6 +68,7 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
     for table, columns in (
         (RunRow, ()),
         (InstrumentRow, ()),
+        (PartRow, ()),
         (ConfigurationChangeRow, ()),
         (RunStateRow, ("number",)),
         (GateAnswerRow, ("session",)),

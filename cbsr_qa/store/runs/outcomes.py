@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.changes import EarlierRun, SensorHistory
 from cbsr_qa.domain.run.states import EndReason, ResultState
-from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity, SensorPart
 from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
 from cbsr_qa.store.damage import FOREIGN_CELL, name_database
 from cbsr_qa.store.engine import open_engine, parse_url, reading, sqlite_file
@@ -20,7 +20,7 @@ from cbsr_qa.store.golden import find_golden_runs
 from cbsr_qa.store.left_out import find_altered_outside
 from cbsr_qa.store.locks import seed_claimed, this_process
 from cbsr_qa.store.runs.verdicts import verdict_of
-from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.tables.runs import PartRow, RunRow
 from cbsr_qa.store.types import time_of_id
 from cbsr_qa.store.unreadable_runs import problem_of
 
@@ -75,6 +75,13 @@ class SensorRuns:
                 for row in rows
             )
         return SensorHistory(sensor, recipe, runs)
+
+    def find_runs_of_part(self, part: SensorPart) -> list[tuple[str, str]]:
+        """Return run and serial number of every run of a sensor with a part of any revision, in their order."""
+        query = select(RunRow.run, RunRow.serial).join(PartRow, PartRow.run == RunRow.run)
+        query = query.where(PartRow.name == part.name, PartRow.identifier == part.identifier).order_by(RunRow.run)
+        with reading(self._engine) as connection:
+            return [(run, serial) for run, serial in connection.execute(query)]
 
 
 def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:

@@ -8,7 +8,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.run.run import InstrumentIdentity, PressDecided, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
+from cbsr_qa.domain.sensor.sensor_type import SensorIdentity, SensorPart
 from cbsr_qa.store.chain.links import add_rows, new_chain
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.mapping import convert_row, row_of
@@ -16,6 +16,7 @@ from cbsr_qa.store.runs.begun import note_begun, run_before
 from cbsr_qa.store.tables.runs import (
     DecisionRow,
     InstrumentRow,
+    PartRow,
     PhaseEndRow,
     PhaseRow,
     RunRow,
@@ -25,7 +26,7 @@ from cbsr_qa.store.tables.runs import (
 
 
 def begin_run(connection: Connection, identity: RunIdentity, configuration: str, setting: dict[str, Any]) -> None:
-    """Insert a run with its instruments, and its sensor if new."""
+    """Insert a run with its instruments and parts, and its sensor if new."""
     sensor = identity.sensor
     if connection.scalar(select(SensorRow.serial).where(SensorRow.serial == sensor.serial)) is None:
         connection.execute(insert(SensorRow), row_of(SensorRow, sensor))
@@ -47,6 +48,7 @@ def begin_run(connection: Connection, identity: RunIdentity, configuration: str,
     add_rows(connection, identity.run, RunRow, [row])
     note_begun(connection, identity.run)
     add_rows(connection, identity.run, InstrumentRow, instruments)
+    add_rows(connection, identity.run, PartRow, [row_of(PartRow, part, run=identity.run) for part in identity.parts])
 
 
 def run_row(connection: Connection, run: str) -> Row[Any] | None:
@@ -105,9 +107,11 @@ def identity_of(connection: Connection, row: Row[Any]) -> RunIdentity:
     """Return the identity stored in a run's row."""
     query = select(*InstrumentRow.__table__.columns).where(InstrumentRow.run == row.run)
     instruments = connection.execute(query.order_by(InstrumentRow.position))
+    parts = select(*PartRow.__table__.columns).where(PartRow.run == row.run).order_by(PartRow.name)
     return convert_row(
         RunIdentity,
         row,
         sensor=convert_row(SensorIdentity, row),
         instruments=tuple(convert_row(InstrumentIdentity, instrument) for instrument in instruments),
+        parts=tuple(convert_row(SensorPart, part) for part in connection.execute(parts)),
     )

@@ -3,7 +3,6 @@
 Rows of a run, its states, analyses and overrides are compared with their links before anybody sees a verdict.
 """
 
-import json
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
@@ -17,14 +16,16 @@ from cbsr_qa.domain.plan.limits import FailureCode, Outcome, read_failure_codes
 from cbsr_qa.domain.results.listed import Decision
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.domain.run.states import EndReason, ResultState
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.store.chain.check import RESTORE, chain_state
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.runs.standing import find_outdated
 from cbsr_qa.store.tables.records import VerdictOverrideRow
 from cbsr_qa.store.tables.results import AnalysisRow
-from cbsr_qa.store.tables.runs import RunRow, RunStateRow
+from cbsr_qa.store.tables.runs import PartRow, RunRow, RunStateRow
 from cbsr_qa.store.unreadable_runs import read_apart, readable_values
+from cbsr_qa.system.json_text import parse_json
 
 #: Columns of a run that are as long as all others together, and that nobody lists.
 _LONG_COLUMNS: Final = ("configuration", "configuration_digest", "software")
@@ -53,6 +54,7 @@ class StoredVerdict:
         as they stand, and there is no result. Empty for a sound run, and for an unchained one that can be read, where
         nothing can be compared.
     coded : all failure codes of the run's recipe; not read where its outcome has none.
+    parts : parts of its sensor; none where it was altered.
     """
 
     values: Mapping[str, Any]
@@ -68,6 +70,7 @@ class StoredVerdict:
     decision: Decision | None = None
     altered: str = ""
     coded: tuple[FailureCode, ...] = ()
+    parts: tuple[SensorPart, ...] = ()
 
     @property
     def run(self) -> str:
@@ -122,8 +125,10 @@ def _unreadable(connection: Connection, run: str, problem: str) -> list[StoredVe
 
 
 def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
-    tables = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow
-    own, states, analyses, overrides = tables_read = [read_rows(connection, table, runs) for table in tables]
+    tables = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow, PartRow
+    own, states, analyses, overrides, part_rows = tables_read = [
+        read_rows(connection, table, runs) for table in tables
+    ]
     chains = dict(zip(own.runs, own.columns["chain"], strict=True))
     altered = find_altered(connection, chains, tables_read, ended=True)
     known_chains = {chain: chain_state(connection, chain) for chain in set(chains.values())}
@@ -136,6 +141,9 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
     analysis_of = {run: analysis for run, analysis in results if analysis[0] not in outdated}
     places = zip(overrides.runs, overrides.columns["analysis"], strict=True)
     decided = dict(zip(places, overrides.tuples(_DECISION), strict=True))
+    parts: dict[str, tuple[SensorPart, ...]] = {}
+    for run, cells in zip(part_rows.runs, part_rows.tuples(("name", "identifier", "revision")), strict=True):
+        parts[run] = (*parts.get(run, ()), SensorPart(*cells))
     names = [name for name in own.columns if name not in _LONG_COLUMNS]
     for run, configuration, values in zip(own.runs, own.columns["configuration"], own.tuples(names), strict=True):
         facts, chain = dict(zip(names, values, strict=True)), known_chains[chains[run]]
@@ -149,7 +157,7 @@ def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[Store
         end, detail, station_s = state or (EndReason.RUNNING, "", 0.0)
         end = _ENDS.get(end) or read_word(EndReason, end, "run_states.end", f"run {run}")
         coded = () if analysis and analysis[2] in _UNCODED else _read_failure_codes(configuration)
-        verdict = StoredVerdict(facts, chain, end, detail, station_s, coded=coded)
+        verdict = StoredVerdict(facts, chain, end, detail, station_s, coded=coded, parts=parts.get(run, ()))
         yield verdict if analysis is None else _with_result(verdict, analysis, decided.get((run, analysis[0])))
 
 
@@ -157,7 +165,7 @@ def _read_failure_codes(configuration: str) -> tuple[FailureCode, ...]:
     """Return the codes of a stored recipe. Raise as reading a foreign cell where an unchained run holds others."""
     if '"failure_codes"' not in configuration:
         return ()
-    return read_failure_codes(json.loads(configuration)["recipe"].get("failure_codes", {}))
+    return read_failure_codes(parse_json(configuration)["recipe"].get("failure_codes", {}))
 
 
 def _with_result(
@@ -182,4 +190,5 @@ def _with_result(
         tuple((package, version) for package, version in software),
         decision,
         coded=verdict.coded,
+        parts=verdict.parts,
     )

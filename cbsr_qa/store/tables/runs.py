@@ -131,6 +131,18 @@ class InstrumentRow(Base):
     notes: Mapped[list[Any] | None]  #: [[what, value], …] in words; None if not recorded
 
 
+class PartRow(Base):
+    """A part of the sensor of a run."""
+
+    __tablename__ = "run_parts"
+    __table_args__ = (Index(None, "name", "identifier"), NO_ROWID)
+
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"), primary_key=True)
+    name: Mapped[str] = mapped_column(Word(64), primary_key=True)
+    identifier: Mapped[str] = mapped_column(Word(64))
+    revision: Mapped[str]
+
+
 class PhaseRow(Base):
     """One sequence of a run; without a row in ``phase_ends`` it was interrupted."""
 

@@ -96,7 +96,11 @@ def _select_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     """Return the charted runs, of one recipe; refuse if there are none, or several recipes."""
     golden, station = request.golden, prefix_kind("station", request.station)
     selection = RunSelection(
-        serials=(golden,) if golden else (), stations=(request.station,), checks=bool(golden), recipe=request.recipe
+        serials=(golden,) if golden else (),
+        stations=(request.station,),
+        checks=bool(golden),
+        recipe=request.recipe,
+        parts=request.parts,
     )
     recipes = {run.recipe for run in store.fleet.read_lines(selection) if run.outcome is not None}
     if len(recipes) == 1:

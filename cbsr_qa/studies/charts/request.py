@@ -7,6 +7,7 @@ from typing import Final
 from cbsr_qa.config.serials import validate_operator
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.results.charts import ChartKind, ChartSettings
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.stats.gauge.reference import FEWEST_CHARTED
 from cbsr_qa.stats.nelson import MOST
 from cbsr_qa.studies.charts.charting import RULES
@@ -39,6 +40,7 @@ class ChartsRequest:
 
     Parameters
     ----------
+    parts : parts that the sensors have; none for all sensors.
     recipe : recipe of the runs; None if the station's runs have only one.
     golden : serial of the golden sensor whose runs are charted; None for production runs.
     metrics : names; none for all with a stored reference, or (with a new period) those the recipe limits.
@@ -60,6 +62,7 @@ class ChartsRequest:
     retire: ChartKind | None = None
     operator: str = ""
     why: str = ""
+    parts: tuple[SensorPart, ...] = ()
 
 
 def check_request(request: ChartsRequest) -> None:

@@ -19,6 +19,7 @@ from cbsr_qa.app.gate.request import GateRequest, Override
 from cbsr_qa.config.loader import load_material, load_recipe, load_sensor_type, load_station
 from cbsr_qa.config.merging import add_batch_model, merge
 from cbsr_qa.config.paths import batch_file
+from cbsr_qa.config.serials import read_parts
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
 from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome
@@ -433,3 +434,22 @@ def test_a_refusal_names_the_failure_code_that_the_recipe_gives_the_check(ask, m
     coded = replace(merged, recipe=replace(merged.recipe, failure_codes=(code,)))
     assert ask("retest", configuration=coded).words.endswith("; G1 tested before: return it")
     assert "G1" not in ask("disk", configuration=coded, disk_GB=1e9).words
+
+
+def test_a_unique_part_of_another_sensor_is_named_and_a_lot_is_not(ask, merged, store):
+    run = store_run(store, "S-2", GOOD, parts=["board=B9/A", "sheet=LOT7"])
+    coded = replace(merged, unique_parts=("board",))
+    asked = {"parts": read_parts(["board=B9/B", "sheet=LOT7"])}
+    answer = ask("parts", "warn", configuration=coded, asked=asked)
+    assert (answer.outcome, answer.words) == (
+        GateOutcome.WARNED,
+        f"board=B9/B is of sensor S-2 too (run {run})",
+    )
+    assert ask("parts", configuration=coded, asked=asked).outcome is GateOutcome.REFUSED
+    assert ask("parts", configuration=merged, asked=asked).outcome is GateOutcome.OFF
+    lot = {"parts": read_parts(["sheet=LOT7"])}
+    assert ask("parts", configuration=coded, asked=lot).outcome is GateOutcome.OFF
+    store_run(store, "S-1", GOOD, parts=["board=B8"])
+    own = {"parts": read_parts(["board=B8"])}
+    assert ask("parts", configuration=coded, asked=own).outcome is GateOutcome.PASSED
+    assert ask("parts", configuration=coded, asked=own, store=None).outcome is GateOutcome.PASSED

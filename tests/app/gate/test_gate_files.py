@@ -21,6 +21,7 @@ def test_a_station_of_today_checks_what_it_did():
     on = {check: gate.policy(check) for check in GateCheck if gate.policy(check) is not GatePolicy.OFF}
     assert on == {
         GateCheck.SERIAL_PATTERN: GatePolicy.REFUSE,
+        GateCheck.PARTS: GatePolicy.WARN,
         GateCheck.CALIBRATION_DUE: GatePolicy.WARN,
         GateCheck.BEFORE_RUN: GatePolicy.REFUSE,
     }
