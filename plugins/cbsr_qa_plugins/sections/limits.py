@@ -154,9 +154,7 @@ def _limit_tables(result: RunResult, judged: Sequence[Measurement]) -> list[Tabl
     return [_limit_table(result, caption, order[:first], strains), replace(rest, folded=True)]
 
 
-def _limit_table(
-    result: RunResult, caption: str, judged: Sequence[Measurement], strains: frozenset[str]
-) -> Table:
+def _limit_table(result: RunResult, caption: str, judged: Sequence[Measurement], strains: frozenset[str]) -> Table:
     versioned = any(m.limit and m.limit.version for m in judged)
     columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
     rows = [_limit_row(m, m.phase in strains, versioned) for m in judged]
