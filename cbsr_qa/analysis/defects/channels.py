@@ -240,3 +240,20 @@ def _longest_run(repeats: Mask) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         longest = np.where(longer, run, longest)
         end = np.where(longer, k + 1, end)
     return longest, end - longest
+
+
+def find_dead_rows(stuck: Mask, usable: Mask) -> tuple[int, ...]:
+    """Return the rows of a full scan, each of one driven pair, of which every usable reading is stuck."""
+    if len(usable) < 2:
+        return ()
+    return tuple(int(row) for row in np.flatnonzero(usable.any(axis=1) & (stuck | ~usable).all(axis=1)))
+
+
+def describe_dead_rows(rows: tuple[int, ...]) -> str:
+    """Name dead rows, and what to do."""
+    if len(rows) == 1:
+        return f"row {rows[0]} of the board is dead: its readings never change; check its channel and its leads"
+    return (
+        f"rows {', '.join(map(str, rows))} of the board are dead: their readings never change; check their channels"
+        " and leads"
+    )

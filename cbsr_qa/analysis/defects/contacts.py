@@ -63,6 +63,34 @@ def open_electrodes(frame: Array, used: Mask, pattern: DrivePattern) -> tuple[in
     return tuple(electrode for electrode, is_silent in enumerate(of_each) if is_silent and all(is_silent))
 
 
+def find_opening(voltages: Array, used: Mask, pattern: DrivePattern, opened: tuple[int, ...]) -> int | None:
+    """Return the frame from which on nothing comes through some electrodes; None if that is so from the beginning.
+
+    Parameters
+    ----------
+    voltages : (n, drives, measures). used : as of :func:`open_electrodes`.
+    opened : electrodes without contact by the typical frame.
+    """
+    rows = [row for row in range(len(pattern.drive)) if used[row].sum() > 1]
+    spread = np.array([voltages[:, row, used[row]].std(axis=1) for row in rows])
+    silent = spread < SILENT_SPREAD * np.quantile(spread, _LIVE, axis=0)
+    of_opened = silent[[bool(set(pattern.drive[row]) & set(opened)) for row in rows]]
+    if not len(of_opened):
+        return None
+    # From there on the silent frames exceed the others by most: single glitches do not matter.
+    excess = np.cumsum(np.where(of_opened.all(axis=0), 1, -1)[::-1])
+    frame = len(voltages) - 1 - int(np.argmax(excess))
+    return frame if frame > 0 and excess.max() > 0 else None
+
+
+def describe_open(opened: tuple[int, ...], since: str = "") -> str:
+    """Name electrodes without contact, and what to do; ``since``: when that began, empty if not known."""
+    began = f" since {since}" if since else ""
+    if len(opened) == 1:
+        return f"electrode {opened[0]} is open{began}: nothing comes through; check its pin"
+    return f"electrodes {', '.join(map(str, opened))} are open{began}: nothing comes through; check their pins"
+
+
 def suspects_of(pattern: DrivePattern, used: Mask) -> tuple[Suspect, ...]:
     """List the readings that each bad contact would affect, fewest first.
 

@@ -45,7 +45,7 @@ class DeadDrive:
         )
         return (
             f"drive pair {self.drive} is dead: its readings are {self.share:.0%} of those with drive and measurement"
-            f" exchanged{own_words}; they were left out"
+            f" exchanged{own_words}; they were left out: check row {self.drive} of the board and its leads"
         )
 
 

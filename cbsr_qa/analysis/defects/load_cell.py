@@ -1,9 +1,11 @@
-"""Load cells at their limit: they read the same, highest force while the press continues."""
+"""Load cells at their limit, which read the same, highest force while the press continues, or with a moved zero."""
 
+from collections.abc import Sequence
 from typing import Final
 
 import numpy as np
 
+from cbsr_qa.analysis.defects.noise import MAD_TO_SIGMA
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.readings.loads import LoadRecord
 
@@ -14,6 +16,9 @@ _MIN_HOLD_SAMPLES: Final = 8
 _SHARE: Final = 0.9
 #: Samples in a row at exactly the highest force that noise cannot explain: a second of the rig's cell.
 _MIN_RUN_AT_LIMIT: Final = 8
+#: A zero moved if it did by this share of the largest force, and by so many times the noise of a sample.
+_ZERO_SHARE: Final = 0.03
+_ZERO_NOISES: Final = 3.0
 
 
 def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
@@ -34,6 +39,29 @@ def describe_cell_limit(samples: SampleBlock | None, record: LoadRecord) -> str:
     if len(rest) < _MIN_HOLD_SAMPLES or len(np.unique(rest)) < 2:
         return ""
     return f"the load cell read {highest:.4g} N, its highest reading, throughout the hold: it is saturated"
+
+
+def describe_zero_shift(samples: SampleBlock | None, records: Sequence[LoadRecord]) -> str:
+    """Say by how much the reading of the unloaded cell moved from the first press to the last; empty if hardly.
+
+    The head is up from the end of an unloading ramp to the end of the rest. A cell that is tared before each press
+    reads forces correctly all the same, until it does not reach its range any more.
+    """
+    if samples is None or len(records) < 2:
+        return ""
+    first, last = records[0], records[-1]
+    zeros = [samples.select_interval(record.unloaded_s, record.rest_end_s).values for record in (first, last)]
+    if min(map(len, zeros)) < _MIN_HOLD_SAMPLES:
+        return ""
+    shift_N = float(np.median(zeros[1]) - np.median(zeros[0]))
+    largest_N = float(np.abs(samples.values - np.median(zeros[0])).max())
+    noise_N = max(MAD_TO_SIGMA * float(np.median(np.abs(zero - np.median(zero)))) for zero in zeros)
+    if abs(shift_N) < max(_ZERO_SHARE * largest_N, _ZERO_NOISES * noise_N):
+        return ""
+    return (
+        f"the load cell's zero moved by {shift_N:.2g} N from press {first.load.label} to press {last.load.label}:"
+        " tare it, and check its mount and cable"
+    )
 
 
 def limit_N(samples: SampleBlock, loads: tuple[LoadRecord, ...]) -> float | None:

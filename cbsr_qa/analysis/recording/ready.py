@@ -4,8 +4,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from cbsr_qa.analysis.defects.channels import ChannelFaults, find_faults
-from cbsr_qa.analysis.defects.contacts import open_electrodes
+from cbsr_qa.analysis.defects.channels import ChannelFaults, describe_dead_rows, find_dead_rows, find_faults
+from cbsr_qa.analysis.defects.contacts import describe_open, find_opening, open_electrodes
 from cbsr_qa.analysis.defects.drives import DeadDrive, find_dead_drives
 from cbsr_qa.analysis.defects.noise import channel_noise
 from cbsr_qa.analysis.defects.offsets import find_offsets, offset_words, subtract_offsets
@@ -44,6 +44,7 @@ class ReadyReadings:
     offset : whether the readings include an unknown offset, see :func:`has_offset`.
     offsets : frame and size of every sudden offset of all readings.
     dead_drives, open_electrodes : left out.
+    open_since : when those opened, in words; empty from the beginning.
     clipped : (drives, measures) bool, saturated readings that would be used otherwise.
     spikes, spiky_frames : number of readings that were replaced, and of their frames, see :func:`remove_spikes`.
     """
@@ -62,16 +63,13 @@ class ReadyReadings:
     open_electrodes: tuple[int, ...] = ()
     spikes: int = 0
     spiky_frames: int = 0
+    open_since: str = ""
 
     def remarks(self) -> list[str]:
         """Describe corrections of readings, and channels that failed during the recording."""
         remarks = offset_words(self.offsets, self.block.time_s, self.block.unit.value)
         if self.open_electrodes:
-            electrode_names = ", ".join(map(str, self.open_electrodes))
-            kind = "electrodes" if len(self.open_electrodes) > 1 else "electrode"
-            remarks.append(
-                f"no contact, nothing comes through: {kind} {electrode_names}; these readings were left out"
-            )
+            remarks.append(f"{describe_open(self.open_electrodes, self.open_since)}; these readings were left out")
         remarks += [dead.words(self.block.unit.value) for dead in self.dead_drives]
         if self.spikes:
             remarks.append(
@@ -81,6 +79,10 @@ class ReadyReadings:
         if self.clipped.any() and not self.faults.all_saturated:
             remarks.append(f"saturated: channels {_list_channels(self.clipped)} stand at an end; they were left out")
         stuck = np.where(self.faults.saturated, -1, self.faults.stuck_from)
+        dead_rows = find_dead_rows(stuck == 0, ~self.faults.saturated & ~self.faults.missing)
+        if dead_rows:
+            remarks.append(f"{describe_dead_rows(dead_rows)}; they were left out")
+            stuck[list(dead_rows)] = -1
         if (stuck == 0).any():
             remarks.append(
                 f"stuck: channels {_list_channels(stuck == 0)} never change, or hardly; they were left out"
@@ -131,9 +133,11 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     usable_mask = _usable(recording, pattern, faults.missing)
     used_mask = usable_mask & ~faults.bad
     opened: tuple[int, ...] = ()
+    opening: int | None = None
     if recording.scan is ScanKind.FULL and used_mask.any() and not recording.differences:
         full_pattern = pattern or adjacent_pattern(used_mask.shape[0])
         opened = _find_open_electrodes(block.voltages, used_mask, full_pattern)
+        opening = find_opening(block.voltages, used_mask, full_pattern, opened) if opened else None
         used_mask &= ~full_pattern.touching(opened)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
@@ -187,6 +191,7 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         opened,
         int(spikes.sum()),
         int(spikes.any(axis=(1, 2)).sum()),
+        "" if opening is None or recording.still else f"{float(block.time_s[opening]):.1f} s",
     )
 
 

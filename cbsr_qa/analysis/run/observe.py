@@ -5,6 +5,7 @@ from dataclasses import replace
 
 import numpy as np
 
+from cbsr_qa.analysis.defects.load_cell import describe_zero_shift
 from cbsr_qa.analysis.run.imaging import Imager, decide_response, find_sensed_regions
 from cbsr_qa.analysis.run.loads import (
     LoadSetting,
@@ -136,7 +137,8 @@ def observe_run(
     odd = scale_doubts(imager.reference, problem)
     effect = masking_effect(problem)
     lost = () if effect is None else (effect.words(),)
-    return replace(observation, warnings=(*data.warnings, *lost, *odd, *silent_remarks, *doubts, *remarks))
+    zeros = filter(None, [describe_zero_shift(phase.channel("force"), phase.loads) for phase in phases])
+    return replace(observation, warnings=(*data.warnings, *zeros, *lost, *odd, *silent_remarks, *doubts, *remarks))
 
 
 def _add_time_courses(

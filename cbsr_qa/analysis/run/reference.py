@@ -1,12 +1,13 @@
 """The unloaded sheet of a run: its frames, reference frame, usable readings, and the weight of each reading."""
 
 from dataclasses import dataclass, replace
+from datetime import UTC, timedelta
 
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects.channels import find_faults
-from cbsr_qa.analysis.defects.contacts import open_electrodes
+from cbsr_qa.analysis.defects.channels import describe_dead_rows, find_dead_rows, find_faults
+from cbsr_qa.analysis.defects.contacts import describe_open, find_opening, open_electrodes
 from cbsr_qa.analysis.defects.drives import find_dead_drives
 from cbsr_qa.analysis.defects.noise import channel_noise
 from cbsr_qa.analysis.defects.offsets import find_offsets, offset_words, subtract_offsets
@@ -18,7 +19,6 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.analysis_settings import AnalysisSettings
 from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, ScanKind, join_frames
 from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
-from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import reading_noise
 from cbsr_qa.plugin.interfaces import Reconstruction
@@ -98,15 +98,16 @@ def usable_data(record: RunRecord) -> UsableData:
     lost_mask |= (flagged & ~left_out_mask).any(axis=(1, 2))
     kept_frames = frames.select(~lost_mask)
     stuck_mask = _find_stuck_readings(kept_frames, pattern) & pattern & ~left_out_mask
-    silent, silent_remarks = _find_silent_readings(
-        kept_frames, pattern & ~left_out_mask & ~stuck_mask, record.sensor_type.pattern
-    )
+    silent, silent_remarks = _find_silent_readings(record, kept_frames, pattern & ~left_out_mask & ~stuck_mask)
     readings = pattern & ~left_out_mask & ~stuck_mask & ~silent
     voltages, offsets = _remove_offsets(kept_frames.voltages, readings)
     spikes = np.zeros(voltages.shape, dtype=bool)
     if record.sensor_type.pattern.drive == record.sensor_type.pattern.measure:
         voltages, spikes = remove_spikes(voltages, readings, counts=False)
-    remarks = [
+    dead_rows = find_dead_rows(stuck_mask, pattern)
+    remarks = [describe_dead_rows(dead_rows)] if dead_rows else []
+    stuck_mask[list(dead_rows)] = False
+    remarks += [
         f"{int(channels.sum())} readings are excluded from all images because they are {why}:"
         f" {name_readings(channels)}"
         for channels, why in (
@@ -147,20 +148,36 @@ def _find_stuck_readings(kept: FrameBlock, pattern: NDArray[np.bool_]) -> NDArra
 
 
 def _find_silent_readings(
-    kept: FrameBlock, sound: NDArray[np.bool_], pattern: DrivePattern
+    record: RunRecord, kept: FrameBlock, sound: NDArray[np.bool_]
 ) -> tuple[NDArray[np.bool_], list[str]]:
     """Return readings (drives, measures) of electrodes without contact and of dead drives, and remarks on them."""
     if not len(kept):
         return np.zeros_like(sound), []
-    frame = np.median(kept.voltages, axis=0)
+    pattern, frame = record.sensor_type.pattern, np.median(kept.voltages, axis=0)
     opened = open_electrodes(frame, sound, pattern)
     silent_mask = pattern.touching(opened)
-    remarks = [f"electrodes {', '.join(map(str, opened))} have no contact: nothing comes through"] if opened else []
+    remarks = []
+    if opened:
+        opening = find_opening(kept.voltages, sound, pattern, opened)
+        remarks = [
+            describe_open(opened, "" if opening is None else _name_moment(record, float(kept.time_s[opening])))
+        ]
     if pattern.drive == pattern.measure:
         dead = find_dead_drives(frame, sound & ~silent_mask)
         silent_mask[[dead_drive.drive for dead_drive in dead]] = True
         remarks += [dead_drive.words(kept.unit.value) for dead_drive in dead]
     return silent_mask, remarks
+
+
+def _name_moment(record: RunRecord, time_s: float) -> str:
+    """Name a time of the run by the clock on the wall (UTC), or of a simulated one by its minute."""
+    if record.identity.simulated:
+        return f"minute {time_s / 60:.1f} of the run"
+    begun_at, begun_s = record.identity.started_at, 0.0
+    for session in record.sessions:
+        if session.noted_at is not None and session.started_s <= time_s:
+            begun_at, begun_s = session.noted_at, session.started_s
+    return f"{(begun_at + timedelta(seconds=time_s - begun_s)).astimezone(UTC):%H:%M} UTC"
 
 
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:

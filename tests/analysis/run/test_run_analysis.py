@@ -1,11 +1,14 @@
 """A whole run's analysis against what the simulated world knows to be true."""
 
 from dataclasses import replace
+from datetime import UTC, timedelta
 
 import numpy as np
 import pytest
 from simulated_runs import HEAD, observed_run, recipes_method, simulated_run
 
+from cbsr_qa.analysis.defects.load_cell import describe_zero_shift
+from cbsr_qa.analysis.run.reference import usable_data
 from cbsr_qa.config.loader import load_recipe, load_sensor_type
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.readings.frames import ReadingFlag
@@ -129,13 +132,50 @@ def test_faults_that_recordings_are_rid_of_are_named_and_left_out_of_runs_too(ru
     voltages[spikes] += 0.5
     seen = observed_run(_with_phase(run, frames=replace(frames, voltages=voltages)), over_time=False)
     said = " ".join(seen.warnings)
-    assert "electrodes 7 have no contact" in said
+    assert "electrode 7 is open: nothing comes through; check its pin" in said
     assert "drive pair 2 is dead" in said
+    assert "check row 2 of the board and its leads" in said
     assert "their reciprocals did not" in said
     assert "images are made without electrode 7" in said
     assert seen.usable.sum() == 156 - 11
     assert max(_errors_mm(seen)) < 4.0
     assert not any(word in " ".join(observation.warnings) for word in ("contact", "dead", "reciprocals", "stuck"))
+
+
+@pytest.mark.parametrize("simulated", [(), ("the sheet",)])
+def test_an_electrode_that_opened_during_the_run_has_its_time(run, simulated):
+    frames, pattern = run.phases[0].frames, run.sensor_type.pattern
+    noise = np.random.default_rng(8).normal(0, 1e-7, frames.voltages.shape)
+    opened_at = len(frames) // 3
+    late = pattern.touching([7]) & (np.arange(len(frames)) >= opened_at)[:, None, None]
+    damaged = _with_phase(run, frames=replace(frames, voltages=np.where(late, noise, frames.voltages)))
+    damaged = replace(damaged, identity=replace(damaged.identity, simulated=simulated))
+    (said,) = [words for words in usable_data(damaged).warnings if "is open" in words]
+    time_s = frames.time_s[opened_at]
+    at = damaged.identity.started_at + timedelta(seconds=float(time_s))
+    when = f"minute {time_s / 60:.1f} of the run" if simulated else f"{at.astimezone(UTC):%H:%M} UTC"
+    assert said == f"electrode 7 is open since {when}: nothing comes through; check its pin"
+
+
+def test_a_row_whose_readings_never_change_is_dead(run):
+    frames = run.phases[0].frames
+    voltages = frames.voltages.copy()
+    voltages[:, 3] = voltages[0, 3]
+    said = usable_data(_with_phase(run, frames=replace(frames, voltages=voltages))).warnings
+    assert said[0] == "row 3 of the board is dead: its readings never change; check its channel and its leads"
+    assert not any("stuck at one value" in words for words in said)
+
+
+def test_a_load_cell_whose_zero_moved_is_named(run):
+    phase = run.phases[0]
+    force, (first, *_, last) = phase.channel("force"), phase.loads
+    assert describe_zero_shift(force, phase.loads) == ""
+    moved = force.values + 0.4 * (force.time_s > first.rest_end_s)
+    said = describe_zero_shift(replace(force, values=moved), phase.loads)
+    names = f"from press {first.load.label} to press {last.load.label}"
+    assert said == f"the load cell's zero moved by 0.4 N {names}: tare it, and check its mount and cable"
+    assert describe_zero_shift(replace(force, values=moved), phase.loads[:1]) == ""
+    assert describe_zero_shift(None, phase.loads) == ""
 
 
 def test_a_lost_frame_costs_that_frame_and_nothing_else(run, observation):
