@@ -39,8 +39,8 @@ _DONE = {
 class Actions:
     """Answers to forms, in JSON.
 
-    ``parts`` of the page to replace, ``fields`` to fill in, and ``words`` to say; ``passes``: they go once the station
-    shows another state.
+    ``parts`` of the page to replace, ``fields`` to fill in, and ``words`` to say; ``passes``: they go once the
+    station shows another state.
     """
 
     def __init__(self, line: Line, pages: Pages) -> None:
