@@ -146,7 +146,7 @@ class SerialLink:
 
     def _open_port(self) -> serial.Serial:
         tap = current_tap()
-        port: serial.Serial = self._open_real_port() if tap is None else tap.open(self.role, self._open_real_port)
+        port: serial.Serial = self._open_real_port() if tap is None else tap.connect(self.role, self._open_real_port)
         return port
 
     def _open_real_port(self) -> serial.Serial:

@@ -32,7 +32,7 @@ class Tap(Protocol):
     #: Whether it answers in place of instruments, so that nothing real is opened.
     replays: bool
 
-    def open(self, role: str, open_real: Callable[[], Any]) -> Any:
+    def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
         """Return a port or resource for a role; ``open_real`` opens the real one."""
         ...
 
@@ -78,7 +78,7 @@ class Listener:
         self._sent: dict[str, bytes] = {}
         self._received: dict[str, bytes] = {}
 
-    def open(self, role: str, open_real: Callable[[], Any]) -> Any:
+    def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
         return _HeardLink(open_real(), role, self)
 
     def note(self, role: str, sign: str, data: bytes) -> None:
@@ -162,7 +162,7 @@ class Replay:
                     remedy="replay it at the station it was recorded at",
                 )
 
-    def open(self, role: str, open_real: Callable[[], Any]) -> Any:
+    def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
         return ReplayedLink(self._transcript, role, self.clock, self.hidden)
 
     def describe_last(self, role: str) -> str:

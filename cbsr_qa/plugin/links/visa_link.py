@@ -153,7 +153,7 @@ class VisaLink:
 
     def _open_resource(self) -> Any:
         tap = current_tap()
-        return self._open_real_resource() if tap is None else tap.open(self.role, self._open_real_resource)
+        return self._open_real_resource() if tap is None else tap.connect(self.role, self._open_real_resource)
 
     def _open_real_resource(self) -> Any:
         try:

@@ -69,7 +69,7 @@ def talk(link, clock):
 def recorded(station, tmp_path):
     clock, path = VirtualClock(), tmp_path / "t.txt"
     recorder = Recorder(path, station, clock)
-    heard = talk(recorder.open("load_cell", Wire), clock)
+    heard = talk(recorder.connect("load_cell", Wire), clock)
     recorder.close()
     return path, heard
 
@@ -94,14 +94,14 @@ def test_what_was_said_is_answered_again_at_the_same_times_and_secrets_are_not_w
     assert "say ***" in text
     assert " load_cell - " in text  # what was thrown away is there too
     clock = VirtualClock()
-    again = talk(Replay(Transcript.read(path), station, clock).open("load_cell", Wire), clock)
+    again = talk(Replay(Transcript.read(path), station, clock).connect("load_cell", Wire), clock)
     hidden = [(answer, at) for answer, at in heard if b"2retnuh" not in answer]
     assert [one for one in again if one in hidden] == hidden
     assert [at for _, at in again] == [at for _, at in heard]
 
 
 def test_another_word_than_was_sent_is_named_with_its_line(recorded, station):
-    link = Replay(Transcript.read(recorded[0]), station, VirtualClock()).open("load_cell", Wire)
+    link = Replay(Transcript.read(recorded[0]), station, VirtualClock()).connect("load_cell", Wire)
     with pytest.raises(OSError, match=r"line \d+ of .*t\.txt sent '.*one.*', now 'M115.+' is sent"):
         link.write(b"M115\n")
 

@@ -72,10 +72,10 @@ def test_it_reads_from_a_transcript_what_it_read_from_the_instrument(tmp_path):
     station, path = replace(shipped, instruments=(spec,)), tmp_path / "keithley.txt"
     meter = EmulatedSourceMeter(rig, {}, lambda data: None)
     recorder = Recorder(path, station, rig.clock)
-    read = measure(recorder.open("source_meter", lambda: Resource(meter)))
+    read = measure(recorder.connect("source_meter", lambda: Resource(meter)))
     recorder.close()
     assert read[:2] == [4e-4, 20.0]
     assert np.isfinite(read[2:5]).all()
     assert read[5][0] == 0
-    replayed = Replay(Transcript.read(path), station, VirtualClock()).open("source_meter", lambda: None)
+    replayed = Replay(Transcript.read(path), station, VirtualClock()).connect("source_meter", lambda: None)
     assert measure(replayed) == read
