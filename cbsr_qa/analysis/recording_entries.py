@@ -128,6 +128,7 @@ class Description(CheckedTable):
     layout: dict[str, Any] | None
     notes: list[_Note]
     simulated: list[_Note] | None = None
+    serial: Annotated[str, Field(max_length=_LONGEST_TEXT)] | None = None
     frames_dropped: Annotated[int, Field(ge=0, le=2**53)] = 0
 
     def electrodes(self) -> Electrodes | None:

@@ -153,6 +153,8 @@ def _write(file: h5py.File, recording: Recording) -> None:
     }
     if recording.frames_dropped:
         described["frames_dropped"] = recording.frames_dropped
+    if recording.serial is not None:
+        described["serial"] = recording.serial
     file.attrs["description"] = json.dumps(described, ensure_ascii=False, sort_keys=True)
     _write_frames(file.create_group("frames"), recording.frames)
     if recording.reference is not None:
@@ -209,6 +211,7 @@ def _read(path: Path, file: h5py.File) -> Recording:
         notes=notes,
         frames_dropped=description.frames_dropped,
         simulated=simulated,
+        serial=description.serial,
         **{name: getattr(description, name) for name in _DESCRIBED},
     )
 

@@ -94,6 +94,7 @@ def recording_page(result: RecordingResult) -> Page:
         ("File", recording.path.name),
         *((("Data set", recording.dataset),) if recording.dataset else ()),
         ("Format", recording.format),
+        *((("Sensor", recording.serial),) if recording.serial is not None else ()),
         ("Sensor type", sensor_type),
         ("Frames", str(len(recording.frames))),
         ("Frame rate", "none: still images" if rate is None else f"{rate:.3g} frames/s"),

@@ -160,12 +160,14 @@ def apply_calibration(
         If that serial number is malformed.
     """
     plugins = discover()
-    remarks = _serial_remarks(estimator, request.serial)
+    if request.serial is not None:
+        check_serial(estimator, request.serial)
     applied = []
     for path in recordings:
         try:
             tell(f"reading {path.name}")
             recording = read_recording_file(path, plugins, format_=request.format, dataset=request.dataset)
+            remarks = _compare_serial(estimator, recording, request.serial)
             sequence = follow_recording(estimator, recording, request)
             forces = tuple(_estimate_frames(sequence, recording, tell))
             no_times = () if is_increasing(recording.frames.time_s) else (_NO_TIMES,)
@@ -201,17 +203,23 @@ def follow_recording(estimator: Estimator, recording: Recording, request: ApplyR
     )
 
 
-def _serial_remarks(estimator: Estimator, stated: str | None) -> tuple[str, ...]:
-    """Remark that a recording's sensor is unknown, unless it was stated."""
-    calibrated_serial = estimator.identity.serial
-    if stated is None:
-        why = "recordings state no serial number; --serial states it"
-        return (
-            (f"not checked: that it is of sensor {calibrated_serial}, as the calibration is ({why})",)
-            if calibrated_serial
-            else ()
+def _compare_serial(estimator: Estimator, recording: Recording, stated: str | None) -> tuple[str, ...]:
+    """Compare the sensor that a recording states with the calibration's; remark if neither it nor ``stated`` does.
+
+    Raise CalibrationError if it is another one, or not the stated one.
+    """
+    calibrated, recorded = estimator.identity.serial, recording.serial
+    if not calibrated or (recorded is None and stated is not None):
+        return ()
+    if recorded is None:
+        why = "the recording states no serial number; --serial states it"
+        return (f"not checked: that it is of sensor {calibrated}, as the calibration is ({why})",)
+    if stated not in (None, recorded):
+        raise CalibrationError(
+            f"{recording.path.name} is of sensor {recorded}, and --serial states {stated}",
+            remedy="leave --serial out, or name the recording of that sensor",
         )
-    check_serial(estimator, stated)
+    check_serial(estimator, recorded)
     return ()
 
 

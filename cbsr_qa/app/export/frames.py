@@ -203,6 +203,7 @@ def as_recording(
         loads=tuple(load for phase in phases for load in phase.loads),
         layout=record.sensor_type.electrodes,
         sensor_type=record.sensor_type.name,
+        serial=record.identity.sensor.serial,
         notes=tuple(notes),
         simulated=record.identity.simulated,
     )

@@ -221,7 +221,7 @@ class Recording:
         ``"station"`` (our own runs),
         ``"documented"`` (a rate the data's authors state; the file holds no times) or ``"none"``.
     layout : documented electrode numbering, or their places; None if unknown.
-    sensor_type : name of the sensor type if stated.
+    sensor_type, serial : name of the sensor type, and serial number of the sensor, if stated.
     notes : facts for a reader, in words.
     frames_dropped : incomplete frames within the file; those cut by its beginning and end do not count.
     simulated : simulated parts in words; empty for a real rig.
@@ -248,6 +248,7 @@ class Recording:
     simulated: tuple[str, ...] = ()
     rows: bool = False
     differences: bool = False
+    serial: str | None = None
 
     @property
     def rows_rejected(self) -> int:

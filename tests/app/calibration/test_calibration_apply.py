@@ -12,7 +12,7 @@ from force_calibration import SCALE, force_calibration, frames
 from stored_runs import SENSOR_TYPE
 from typer.testing import CliRunner
 
-from cbsr_qa.analysis.recording_files import write_recording
+from cbsr_qa.analysis.recording_files import read_recording, write_recording
 from cbsr_qa.app.calibration.apply import flag_words, is_increasing
 from cbsr_qa.calibration.file.hdf5 import write_calibration
 from cbsr_qa.calibration.force.inverse import Flag
@@ -202,6 +202,19 @@ def test_a_serial_number_that_nobody_states_is_said_not_to_be_checked(folder):
     assert "not checked: that it is of sensor S-1" in _run(*apply).stdout
     own = json.loads(_run(*apply, "--json", "--serial", "S-1").stdout)
     assert own["recordings"][0]["remarks"] == [errors]
+
+
+def test_the_serial_number_that_a_recording_states_is_compared(folder, tmp_path):
+    write_recording(tmp_path / "own.h5", _recording(serial="S-1"))
+    write_recording(tmp_path / "another.h5", _recording(serial="S-2"))
+    assert read_recording(tmp_path / "another.h5").serial == "S-2"
+    done = _run("apply", folder / "sensor.h5", tmp_path / "own.h5", tmp_path / "another.h5", "--json")
+    assert done.return_value == 2
+    own, another = json.loads(done.stdout)["recordings"]
+    assert not any("not checked" in remark for remark in own["remarks"])
+    assert another["refused"]["reason"] == "the calibration is of sensor S-1, the recordings are of S-2"
+    stated = _run("apply", folder / "sensor.h5", tmp_path / "another.h5", "--serial", "S-1", "--json")
+    assert "another.h5 is of sensor S-2, and --serial states S-1" in stated.stdout
 
 
 @pytest.mark.parametrize(
