@@ -87,6 +87,7 @@ class PlannedRun:
     warnings : plugins that could not be loaded, changes since the sensor's last run.
     gate : answers of the checks before a run.
     refused : why the run would be refused; None if it would start.
+    operator : who would be stored with the run; empty if nobody is named.
     """
 
     duration_s: float
@@ -105,6 +106,7 @@ class PlannedRun:
     warnings: tuple[str, ...]
     gate: tuple[GateAnswer, ...]
     refused: Refusal | None
+    operator: str
     dry: Annotated[InstanceOf[DryRun], Field(exclude=True)]
     history: Annotated[InstanceOf[SensorHistory], Field(exclude=True)]
 
@@ -116,6 +118,7 @@ class PlannedRun:
         failed_plugins: Iterable[object],
         gate: tuple[GateAnswer, ...] = (),
         forecasts: "Sequence[PressForecast]" = (),
+        operator: str = "",
     ) -> Self:
         decides = tuple(PlannedDecisions.from_forecast(forecast, dry) for forecast in forecasts)
         refused = None
@@ -149,6 +152,7 @@ class PlannedRun:
             warnings=(*map(str, failed_plugins), *history.differences, *gate_warnings(gate)),
             gate=gate,
             refused=refused,
+            operator=operator,
             dry=dry,
             history=history,
         )
@@ -180,6 +184,8 @@ def plan_outcome(planned: PlannedRun) -> CommandOutcome[PlannedRun]:
         ("Travel", f"{planned.dry.travel_mm / 1000:.2f} m"),
         *(("Not allowed", violation) for violation in planned.violations),
     ]
+    if not planned.operator:
+        facts.append(("Operator", "none named; --operator NAME stores one with the run"))
     if planned.history.words:
         facts.append(("Sensor", planned.history.words))
     rows = [(p.name, p.sequence, duration(p.duration_s), str(p.loads), str(p.frames)) for p in planned.phases]

@@ -56,7 +56,7 @@ def plan_run(request: RunRequest, *, attended: bool = False) -> PlannedRun:
     recipe = configuration.recipe.name
     with open_existing(to_gate.database) or nullcontext() as store:
         history = SensorHistory(sensor, recipe) if store is None else store.sensors.read_history(sensor, recipe)
-    return PlannedRun.from_dry_run(dry, history, plugins.failures, answers, forecasts)
+    return PlannedRun.from_dry_run(dry, history, plugins.failures, answers, forecasts, request.operator)
 
 
 def preview_gate(request: RunRequest, pin: Callable[[str], str] | None = None) -> CommandOutcome[GateShown]:

@@ -1,5 +1,7 @@
 """A dry run of a recipe whose first rest ends when the sheet is stable says least and most."""
 
+from dataclasses import replace
+
 from cbsr_qa.app.run.planned import PlannedRun, plan_outcome
 from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, MarkUnloaded, Press, Release, Settle
 from cbsr_qa.domain.readings.loads import Load
@@ -24,3 +26,14 @@ def test_a_rest_that_may_end_sooner_is_counted_to_its_end_and_to_its_least():
     (_, shown), *_ = plan_outcome(settling).page.identity
     assert shown.startswith("3 min 55 s to 6 min 55 s (")
     assert " to " not in plan_outcome(fixed).page.identity[0][1].split("(")[0]
+
+
+def test_a_dry_run_says_that_no_operator_is_named():
+    nobody, somebody = (
+        planned(Hold(240.0, acquire=False)),
+        replace(planned(Hold(240.0, acquire=False)), operator="Ada"),
+    )
+    words = ("Operator", "none named; --operator NAME stores one with the run")
+    assert words in plan_outcome(nobody).page.identity
+    assert "Operator" not in dict(plan_outcome(somebody).page.identity)
+    assert nobody.operator == ""
