@@ -64,7 +64,7 @@ def simulated(
     recipe, material = copy_shipped(DocumentKind.RECIPE, RECIPE), copy_shipped(DocumentKind.MATERIAL, "cbsr-8wt")
     world["effects"] = [*world["effects"], *effects]
     station["instruments"]["bench"]["scene"] = world
-    recipe |= {"phases": list(phases), "limits": []}
+    recipe |= {"phases": list(phases), "limits": [], "failure_codes": {}}
     recipe["recipe"]["calibrate_phases"] = [phases[0]["name"]]
     if noise is not None:
         material["material"]["relative_noise"]["value"] = noise

@@ -184,6 +184,7 @@ def _configuration(run: _Run) -> Configuration:
     station["station"]["name"] = f"station-{STATIONS[run.station]}"
     recipe["recipe"] = {"name": run.recipe, "calibrate_phases": []}
     recipe["phases"] = [phase for phase in recipe["phases"] if phase["name"] == _PHASE]
+    del recipe["failure_codes"]  # most are of limits that are left out
     names = [metric.name for metric in DRAWN]
     recipe["limits"] = [
         limit for limit in recipe["limits"] if limit["measurement"] in names and limit.get("phase", _PHASE) == _PHASE

@@ -141,7 +141,7 @@ def recipe(**options):
     times = {"hold_s": 10.0, "rest_s": 5.0, "initial_rest_s": 10.0}
     document = copy_shipped(DocumentKind.RECIPE, "nine-locations")
     document["recipe"] = {"name": "surface", "calibrate_phases": ["grid"]}
-    return {**document, "limits": [], "phases": [{**grid, **times, **options}]}
+    return {**document, "limits": [], "failure_codes": {}, "phases": [{**grid, **times, **options}]}
 
 
 def prepared(seat=None, **options):

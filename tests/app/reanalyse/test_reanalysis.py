@@ -28,7 +28,7 @@ from cbsr_qa.report.terminal import terminal_lines
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.results.reanalyses import Reanalysis
 
-RECIPE = dict(open_document(DocumentKind.RECIPE, "nine-locations").data)
+RECIPE = {**open_document(DocumentKind.RECIPE, "nine-locations").data, "failure_codes": {}}
 LIMIT = Limit("centre_of_mass_error", "mm", None, 5.0)
 EVERY = RunSelection()
 
