@@ -38,6 +38,10 @@ _NOTE_BACK: Final = """() => {
             back.push((performance.timeOrigin + performance.now()) / 1000);
     }).observe(document.body, { attributes: true, attributeFilter: ["class"], attributeOldValue: true });
 }"""
+_SEE_BACK: Final = """() => new Promise((seen) => {
+    const look = () => back.length ? seen(back.splice(0)[0]) : setTimeout(look, 20);
+    look();
+})"""
 
 
 class Server:
@@ -134,8 +138,7 @@ def measure(folder: Path, pages: int, streams: int, restarts: int) -> tuple[list
             time.sleep(random.uniform(1.0, 2.0))
             answered_s = server.start()
             for page in opened:
-                page.wait_for_function("back.length > 0", timeout=60_000)
-                page_s.append(page.evaluate("back.splice(0)[0]") - answered_s)
+                page_s.append(page.evaluate(_SEE_BACK) - answered_s)
             while len(watching.back) < streams:
                 time.sleep(0.01)
             stream_s += [back_s - answered_s for back_s in watching.back]

@@ -34,6 +34,13 @@ _SHOWN_SIZES = """() => [...document.querySelectorAll("#state .mode, #state .out
     (one) => [one.textContent.trim(), parseFloat(getComputedStyle(one).fontSize) / innerHeight])"""
 
 
+#: The head is down for 0.3 s at a time.
+_SEE_THE_HEAD = """() => new Promise((seen) => {
+    const look = () => document.querySelector("circle.head") ? seen() : requestAnimationFrame(look);
+    look();
+})"""
+
+
 def _reads_at_three_metres(page, *texts):
     """State, serial number and verdict are across the screen, each at least a fortieth of it high."""
     sizes = dict(page.evaluate(_SHOWN_SIZES))
@@ -63,7 +70,7 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     expect(page.locator("#say")).to_contain_text("That scan was ignored")
     viewer = pages("/stations/bench-1")  # somebody opens the page in the middle
     expect(viewer.locator("#image")).to_have_attribute("href", re.compile("/image/.+/[0-9]+$"))
-    viewer.wait_for_function("document.querySelector('circle.head')", polling="raf")  # down for 0.3 s
+    viewer.evaluate(_SEE_THE_HEAD)
     expect(viewer.locator(".progress")).to_have_text(re.compile("Place [1-5] of 5"))
     expect(viewer.locator("circle.place.running")).to_have_count(1)
     expect(viewer.locator("use.place-sign").first).to_be_visible()
