@@ -31,7 +31,7 @@ _LIVE_PARTS: Final = ("prompt", "marks", "legend", "step", "controls", "doing", 
 #: Most characters of a text that fit into half a line in the largest letters, and in the middle ones.
 _SHORT: Final = 14
 _MEDIUM: Final = 28
-#: Most limits that a page shows; the report has all.
+#: Most limits that a page shows at once; the others are unfolded.
 SHOWN_LIMITS: Final = 4
 
 

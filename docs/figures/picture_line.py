@@ -1,4 +1,4 @@
-"""Write docs/how-to/pictures/line-*.webp: two stations of ``make serve``, as a browser shows them.
+"""Write docs/how-to/pictures/line-*.webp: two stations as those of ``make serve``, as a browser shows them.
 
 ``python docs/figures/picture_line.py`` takes two minutes; it needs Chromium.
 """
@@ -16,14 +16,22 @@ from playwright.sync_api import Page, expect, sync_playwright
 
 PICTURES = Path(__file__).parents[1] / "how-to" / "pictures"
 RUN_MS = 300_000
-#: The sheet answers by then, and the head still presses: a hold of 60 s takes one at this clock.
-HOLDING = re.compile(r"^\s*Press \d+ of \d+ · holding still")
-HOLD_MS = 300
+#: The head presses the fourth place, and the sheet has answered.
+PRESSING = """() => new Promise((seen) => {
+    const presses = () => document.querySelector("circle.head") &&
+        document.querySelector(".progress").textContent.startsWith("Place 4");
+    const look = () => presses() ? setTimeout(seen, 400) : requestAnimationFrame(look);
+    look();
+})"""
+#: Shipped recipe, and its limit of the overlap as in the recipe of the picture of a failed sensor.
+RECIPE = Path(__file__).parents[2] / "stations" / "recipes" / "nine-locations.toml"
+STRICT = (('name = "nine-locations"', 'name = "strict"'), ("lower = 50.0 ", "lower = 75.0 "))
 SERVE = "from cbsr_qa.cli.main import entry; entry()"
 
 
-def start(page: Page, serial: str) -> None:
+def start(page: Page, serial: str, recipe: str) -> None:
     """Type a serial number as a scanner does, and start with the keyboard alone."""
+    page.locator("#recipe").select_option(recipe)
     page.locator("#serial").fill(serial)
     page.keyboard.press("Enter")
     expect(page.locator("#gate button")).to_be_focused()
@@ -44,26 +52,33 @@ def pictures(address: str) -> None:
         browser = playwright.chromium.launch(executable_path="/usr/bin/chromium", args=["--no-sandbox"])
         page = browser.new_page(viewport={"width": 1280, "height": 800})
         page.goto(f"{base}/stations/line-2?{token}")
-        start(page, "S-0412")
-        expect(page.locator(".verdict")).to_contain_text("S-0412")
+        start(page, "S-0412", "strict")
+        expect(page.locator("#state .outcome")).to_have_text("Failed")
         write(page, "line-verdict")
         page.goto(f"{base}/stations/line-1")
-        start(page, "S-0413")
-        expect(page.locator(".places small", has_text="mm off")).to_have_count(3)
-        expect(page.get_by_text(HOLDING)).to_be_visible()
-        expect(page.locator("circle.head")).to_be_visible()
-        page.wait_for_timeout(HOLD_MS)
+        start(page, "S-0413", "nine-locations")
+        page.evaluate(PRESSING)
         write(page, "line-running")
         page.goto(base)
-        expect(page.locator("article, .card").first).to_be_visible()
+        expect(page.locator(".card").first).to_be_visible()
         write(page, "line-overview")
+        page.goto(f"{base}/stations/line-1")
+        expect(page.locator("#state .outcome")).to_have_text("Passed")
+        page.locator("#serial").fill("S-0413")
+        page.keyboard.press("Enter")
+        expect(page.locator("#gate-title")).to_contain_text("Test again?")
+        write(page, "line-again")
 
 
 if __name__ == "__main__":
     with tempfile.TemporaryDirectory() as folder:
-        stations = ["--station", "line-1", "--station", "line-2"]
+        recipe = RECIPE.read_text(encoding="utf-8")
+        for shipped, strict in STRICT:
+            recipe = recipe.replace(shipped, strict)
+        (Path(folder) / "strict.toml").write_text(recipe, encoding="utf-8")
+        served = ["--station=line-1", "--station=line-2", "--recipe=nine-locations", f"--recipe={folder}/strict.toml"]
         serve = subprocess.Popen(
-            [sys.executable, "-u", "-c", SERVE, "serve", *stations, "--recipe", "nine-locations", "--port", "0"],
+            [sys.executable, "-u", "-c", SERVE, "serve", *served, "--port=0"],
             env={**os.environ, "CBSR_QA_VAR": folder},
             stdout=subprocess.PIPE,
             stderr=subprocess.STDOUT,

@@ -14,9 +14,10 @@ from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.confirmations import confirm_bench, needs_confirmation
+from cbsr_qa.web.line import Line
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
-from cbsr_qa.web.pages import minutes_left, progress_words, size_of
-from cbsr_qa.web.state import Mode, Snapshot, control_of, mode_of
+from cbsr_qa.web.pages import Pages, minutes_left, progress_words, size_of
+from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, control_of, mode_of
 
 _PASSED = Verdict(Outcome.PASS, "it is well")
 _HELLO = {"run": None, "serial": "S-1", "recipe": "nine"}
@@ -172,3 +173,15 @@ def test_a_process_whose_run_has_ended_is_not_starting(store):
     look = store.live.find_run(_ended(store, EndReason.ABORTED))
     assert mode_of(None, look, held=True, starting=True, begun=True) is Mode.CONCLUDING
     assert mode_of(None, look, held=False, starting=True, begun=False) is Mode.STARTING
+
+
+def test_every_failed_limit_is_shown_with_its_code_and_what_to_do_if_it_has_them(store, tmp_path):
+    run = store_run(store, "S-1", (Measurement("drift", 0.1, "%/min"),), verdict=Verdict(Outcome.FAIL, "it drifts"))
+    coded = FailedLimit("drift is 2 %/min", "F12", "Scrap it")
+    failed = (coded, *(FailedLimit(f"overlap (L{place}) is low") for place in range(6)))
+    snapshot = replace(_snapshot(store.live.find_run(run), Mode.DONE), failed=failed)
+    shown = Pages(Line((), str(tmp_path / "runs.db"))).fragment("verdict", s=snapshot, base="", asks_operator=False)
+    assert "Failed limits: 7" in shown
+    assert shown.count("<b>F12</b>") == shown.count("<strong>Scrap it</strong>") == 1
+    assert [shown.count(f"Overlap (L{place}) is low") for place in range(6)] == [1] * 6
+    assert "and 3 more" in shown
