@@ -6,6 +6,7 @@ from enum import StrEnum
 from time import monotonic
 from typing import Any
 
+from cbsr_qa.domain.plan.limits import FailureCode
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.web.live_run import LiveView
@@ -80,16 +81,16 @@ class Control:
 
 @dataclass(frozen=True, slots=True)
 class FailedLimit:
-    """A limit that decided the latest run's outcome, in words.
+    """A limit that decided the latest run's outcome, or how it was cut off.
 
     Parameters
     ----------
-    code, disposition : failure code of the limit, and what to do with a sensor that has it; empty without one.
+    words : value and limit; empty for a run that was cut off.
+    code : failure code with what it means and what to do with the sensor; None without one.
     """
 
     words: str
-    code: str = ""
-    disposition: str = ""
+    code: FailureCode | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)

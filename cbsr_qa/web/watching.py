@@ -1,13 +1,13 @@
 """Watches stations and their store in one thread: short reads when something was written, images at its own rate."""
 
 import threading
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import closing
 from time import monotonic
 from typing import Final
 
 from cbsr_qa.domain.errors import CbsrError
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import Outcome, select_failure_codes
 from cbsr_qa.domain.results.measurement import describe_judgement, rank_judged
 from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.plugin.discovery import Plugins, discover
@@ -159,10 +159,8 @@ class StationWatch:
         if look == self.look:
             return
         self.look, self._failed = look, ()
-        if look is not None and look.outcome in _SHOWN_OUTCOMES:
-            measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
-            ranked = rank_judged(measurements, look.outcome)
-            self._failed = tuple(FailedLimit(describe_judgement(measurement)) for measurement in ranked)
+        if look is not None and not look.altered:
+            self._failed = tuple(_list_failed(store, look))
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
         """Read the data that the run in progress has stored; return the problem, empty without one."""
@@ -209,6 +207,18 @@ class StationWatch:
         if limit_h is not None and (backlog := store.read_backlog()).late(limit_h):
             self._healthy = False
             self._health += f"; {text('health.backlog', backlog=backlog.words, hours=f'{limit_h:g}')}"
+
+
+def _list_failed(store: Repository, look: RunLook) -> Iterator[FailedLimit]:
+    """Yield the limits that decided a run, the worst first; of a run that was cut off, the code for that."""
+    if look.outcome is None:
+        for code in select_failure_codes(look.coded, None, str(look.end), ()):
+            yield FailedLimit("", code)
+    if look.outcome in _SHOWN_OUTCOMES:
+        measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
+        for measurement in rank_judged(measurements, look.outcome):
+            codes = select_failure_codes(look.coded, look.outcome, str(look.end), [measurement.limited])
+            yield FailedLimit(describe_judgement(measurement), codes[0] if codes else None)
 
 
 class Watcher(threading.Thread):

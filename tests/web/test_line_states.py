@@ -8,7 +8,7 @@ import pytest
 from stored_lots import store_run
 from stored_runs import identity, journalled, short_run
 
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
@@ -177,7 +177,7 @@ def test_a_process_whose_run_has_ended_is_not_starting(store):
 
 def test_every_failed_limit_is_shown_with_its_code_and_what_to_do_if_it_has_them(store, tmp_path):
     run = store_run(store, "S-1", (Measurement("drift", 0.1, "%/min"),), verdict=Verdict(Outcome.FAIL, "it drifts"))
-    coded = FailedLimit("drift is 2 %/min", "F12", "Scrap it")
+    coded = FailedLimit("drift is 2 %/min", FailureCode("F12", "it drifts", "Scrap it"))
     failed = (coded, *(FailedLimit(f"overlap (L{place}) is low") for place in range(6)))
     snapshot = replace(_snapshot(store.live.find_run(run), Mode.DONE), failed=failed)
     shown = Pages(Line((), str(tmp_path / "runs.db"))).fragment("verdict", s=snapshot, base="", asks_operator=False)

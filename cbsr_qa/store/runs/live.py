@@ -9,7 +9,7 @@ from sqlalchemy import ColumnElement, Connection, Engine, func, select, tuple_
 from sqlalchemy.exc import SQLAlchemyError
 
 from cbsr_qa.domain.filling import fill_from_mapping
-from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames
 from cbsr_qa.domain.readings.loads import LoadRecord
@@ -78,6 +78,7 @@ class RunLook:
     end, detail : of its latest session; RUNNING if it is in progress or was interrupted.
     outcome, reason, calibrated : of the latest analysis after that session; None and empty without one.
     decision : the latest override of that analysis; None where there is none.
+    coded : all failure codes of its recipe; empty where its outcome has none.
     altered : what does not match the chain, also its ``reason`` then; it has no outcome. Empty where nothing does.
     """
 
@@ -96,6 +97,7 @@ class RunLook:
     reason: str
     calibrated: bool
     decision: Decision | None
+    coded: tuple[FailureCode, ...] = ()
     altered: str = ""
 
     @property
@@ -233,6 +235,7 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
             reason=verdict.altered or verdict.reason,
             calibrated=connection.scalar(issued) is not None,
             decision=verdict.decision,
+            coded=verdict.coded,
             altered=verdict.altered,
         )
 
