@@ -21,7 +21,7 @@ from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.processes import start_run
-from cbsr_qa.web.start import StartForm, resume_arguments
+from cbsr_qa.web.start import StartForm, resume_arguments, split_parts
 from cbsr_qa.web.state import Mode
 from cbsr_qa.web.texts import refusal_words, text
 
@@ -70,6 +70,10 @@ class Actions:
         if any(scanned == operator.name for operator in watch.served.station.gate.operators):
             words = text("gate.badge", operator=scanned)
             return _json_answer(fields={"operator": scanned, "serial": ""}, words=words)
+        if "=" in scanned:  # a part; one that is given twice is refused, and what was scanned before stays
+            parts = split_parts(f"{form.get('parts', '')}, {scanned}")
+            shown_parts = ", ".join(map(str, parts))
+            return _json_answer(fields={"parts": shown_parts, "serial": ""}, words=text("gate.part", part=scanned))
         start_form = StartForm.from_form(watch.served, form)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
         gate = ["gate", self._pages.gate(station, start_form, view)]

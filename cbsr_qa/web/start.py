@@ -5,7 +5,8 @@ from dataclasses import dataclass, field
 from typing import Self
 
 from cbsr_qa.app.gate.request import Override
-from cbsr_qa.config.serials import validate_batch, validate_operator, validate_serial
+from cbsr_qa.config.serials import read_parts, validate_batch, validate_operator, validate_serial
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
 
@@ -15,6 +16,7 @@ class StartForm:
 
     Parameters
     ----------
+    parts : parts of the sensor; none if they were not stated.
     pin : PIN of the operator as typed; empty without one.
     again : earlier run of the sensor in spite of which it is tested; empty for none.
     """
@@ -24,6 +26,7 @@ class StartForm:
     operator: str
     batch: str
     override: Override
+    parts: tuple[SensorPart, ...] = ()
     pin: str = field(default="", repr=False)
     again: str = ""
 
@@ -40,6 +43,7 @@ class StartForm:
                 form.get("override_by", ""),
                 form.get("override_why", ""),
             ).validate(),
+            parts=split_parts(form.get("parts", "")),
             pin=form.get("pin", ""),
             again=form.get("again", ""),
         )
@@ -52,6 +56,7 @@ class StartForm:
             "recipe": self.recipe.name,
             "operator": self.operator,
             "batch": self.batch,
+            "parts": ", ".join(map(str, self.parts)),
             "override": " ".join(self.override.checks),
             "override_by": self.override.by,
             "override_why": self.override.why,
@@ -65,11 +70,17 @@ class StartForm:
             f"--serial={self.serial}",
             f"--operator={self.operator}",
             f"--batch={self.batch}",
+            *(f"--part={part}" for part in self.parts),
             *(f"--override={check}" for check in self.override.checks),
             *([f"--override-by={self.override.by}"] if self.override.checks else []),
             *([f"--override-why={self.override.why}"] if self.override.checks else []),
             *common_arguments(database),
         ]
+
+
+def split_parts(text: str) -> tuple[SensorPart, ...]:
+    """Return the parts of a field, separated by commas. ConfigError if one cannot be used, or is given twice."""
+    return read_parts([part.strip() for part in text.split(",") if part.strip()])
 
 
 def resume_arguments(served: ServedStation, run: str, operator: str, database: str | None) -> list[str]:

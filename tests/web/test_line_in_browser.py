@@ -189,7 +189,7 @@ def test_keys_that_come_before_the_check_answered_are_kept(pages):
     expect(page.locator("#gate")).to_contain_text("Sensor EARLY-2 can be tested")
 
 
-def test_a_badge_names_the_operator_and_that_of_nobody_loses_nothing(pages):
+def test_a_badge_names_the_operator_a_part_is_added_and_what_nobody_knows_loses_nothing(pages):
     page = pages("/stations/dying")
     page.locator("#serial").focus()
     page.keyboard.type("Ada")
@@ -197,10 +197,19 @@ def test_a_badge_names_the_operator_and_that_of_nobody_loses_nothing(pages):
     expect(page.locator("#operator")).to_have_value("Ada")
     expect(page.locator("#serial")).to_be_empty()
     expect(page.locator("#serial")).to_be_focused()
+    for part in ("sheet=LOT7/B", "board=12"):
+        page.keyboard.type(part)
+        page.keyboard.press("Enter")
+        expect(page.locator("#say")).to_contain_text(f"Part: {part}.")
+    page.keyboard.type("sheet=LOT8")
+    page.keyboard.press("Enter")
+    expect(page.locator("#say")).to_contain_text("part sheet is given twice: sheet=LOT7/B and sheet=LOT8")
+    expect(page.locator("#parts")).to_have_value("board=12, sheet=LOT7/B")
     page.locator("#operator").fill("Eve")
     page.locator("#serial").fill("BADGE-1")
     page.keyboard.press("Enter")
     expect(page.locator("#gate .refused")).to_contain_text("Eve is not on the list of operators")
+    expect(page.locator("#gate .facts")).to_contain_text("parts board=12, sheet=LOT7/B")
     expect(page.locator("#serial")).to_have_value("BADGE-1")
 
 

@@ -16,6 +16,7 @@ from cbsr_qa.domain.readings.loads import LoadRecord
 from cbsr_qa.domain.results.listed import Decision
 from cbsr_qa.domain.run.run import PressDecided
 from cbsr_qa.domain.run.states import EndReason, ResultState
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import read_word, translate_errors
 from cbsr_qa.store.engine import reading, sqlite_file
@@ -79,6 +80,7 @@ class RunLook:
     outcome, reason, calibrated : of the latest analysis after that session; None and empty without one.
     decision : the latest override of that analysis; None where there is none.
     coded : all failure codes of its recipe; empty where its outcome has none.
+    parts : parts of the sensor, as stated with the run.
     altered : what does not match the chain, also its ``reason`` then; it has no outcome. Empty where nothing does.
     """
 
@@ -98,6 +100,7 @@ class RunLook:
     calibrated: bool
     decision: Decision | None
     coded: tuple[FailureCode, ...] = ()
+    parts: tuple[SensorPart, ...] = ()
     altered: str = ""
 
     @property
@@ -236,6 +239,7 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
             calibrated=connection.scalar(issued) is not None,
             decision=verdict.decision,
             coded=verdict.coded,
+            parts=verdict.parts,
             altered=verdict.altered,
         )
 
