@@ -42,6 +42,7 @@ class PlannedDecisions:
     least_s, expected_s, most_s : duration of the phase with so many presses.
     floor_N : force error that remains however many presses, by noise, scatter and what all forces share.
     reached : whether a usual sheet reaches the target.
+    batch_model : digest of the batch's model that says what is usual; empty without one.
     """
 
     phase: str
@@ -53,6 +54,7 @@ class PlannedDecisions:
     most_s: float
     floor_N: float
     reached: bool
+    batch_model: str
 
     @classmethod
     def from_forecast(cls, forecast: "PressForecast", dry: DryRun) -> Self:
@@ -67,7 +69,8 @@ class PlannedDecisions:
 
     @property
     def words(self) -> str:
-        usual = f"{self.expected} on a usual sheet" if self.reached else "a usual sheet does not reach the target"
+        what = "a usual sensor of the batch" if self.batch_model else "a usual sheet"
+        usual = f"{self.expected} on {what}" if self.reached else f"{what} does not reach the target"
         return f"{self.least} to {self.most}, {usual}; {self.floor_N:.2g} N remain however many"
 
 
@@ -78,8 +81,8 @@ class PlannedRun:
     Parameters
     ----------
     duration_s, least_s, expected_s : station time; of a recipe that decides between presses with the most presses,
-        the fewest, and those of a usual sheet. A first rest that ends when the sheet is stable is longest in the
-        first and shortest in the others.
+        the fewest, and those of a usual sheet or sensor of the batch. A first rest that ends when the sheet is stable
+        is longest in the first and shortest in the others.
     decides : presses of each phase that decides between them.
     spent_s : station time by kind of activity.
     peak_strain, peak_force_N : highest requested, and highest force expected.

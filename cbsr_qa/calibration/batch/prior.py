@@ -88,6 +88,17 @@ class BatchPrior:
             variances.append(family.vary(kernel, np.ones(len(places_mm))) - (family.own + family.level)[:, None])
         return mix_members(np.concatenate([family.weights for family in self._families]), means, variances)
 
+    def covary(self, places_mm: Array) -> tuple[Array, Array, Array]:
+        """Weights (m,) of the members, variances (m,) of single loads, and covariances (m, n, n) at places (n, 2)."""
+        covariances = []
+        for family in self._families:
+            kernel = family.correlate(self.places_mm, places_mm)
+            covariances.append(family.covary(kernel, kernel, family.correlate(places_mm, places_mm)))
+        weights, scatter = (
+            np.concatenate([getattr(family, name) for family in self._families]) for name in ("weights", "scatter")
+        )
+        return weights, scatter, np.concatenate(covariances)
+
     def expect_variance(self, pressed_mm: Array, places_mm: Array) -> Array:
         """Variance (n,) at places of a sensor's map after presses (m, 2) that only scatter, before they are made."""
         variances = []

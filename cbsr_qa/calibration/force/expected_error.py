@@ -100,7 +100,7 @@ def expect_force_error(response: LearnedMap, places_mm: Array, errors: LoadError
     pulled = (deviations[:, None] @ covariances)[:, 0]
     spreads = 2 * (covariances**2).sum(axis=(1, 2)) + 4 * (pulled * deviations).sum(axis=1)
     member_mean, member_variance = squares / count, spreads / count**2
-    upper = _mixture_quantile(response.weights, member_mean, member_variance, confidence)
+    upper = _find_quantile(response.weights, member_mean, member_variance, confidence)
     return ForceError(
         _total_N(float(response.weights @ member_mean), response.scatter, errors),
         _total_N(upper, response.scatter, errors),
@@ -124,11 +124,28 @@ def expect_after_presses(
     return np.array([_total_N(square, response.scatter, errors) for square in squares.tolist()])
 
 
+def bound_unpressed_error(
+    covariances: Array, weights: Array, scatter: float, errors: LoadErrors, confidence: float
+) -> float:
+    """Return the upper bound of the error of force [N] of a map that is not yet known.
+
+    Parameters
+    ----------
+    covariances : (m, t, t) of its logarithm over the loads that matter, of each member of a mixture.
+    weights : (m,) of the members, with sum one.
+    scatter : of single loads.
+    """
+    total, count = covariances + errors.shared**2, covariances.shape[1]
+    member_mean = np.trace(total, axis1=1, axis2=2) / count
+    member_variance = 2 * (total**2).sum(axis=(1, 2)) / count**2
+    return _total_N(_find_quantile(weights, member_mean, member_variance, confidence), scatter, errors)
+
+
 def _total_N(square: float, scatter: float, errors: LoadErrors) -> float:
     return float(np.hypot(errors.lever_N * np.sqrt(square + scatter**2), errors.noise_N))
 
 
-def _mixture_quantile(weights: Array, mean: Array, variance: Array, confidence: float) -> float:
+def _find_quantile(weights: Array, mean: Array, variance: Array, confidence: float) -> float:
     """Quantile of a mixture of scaled χ² with these means and variances (m,), by bisection."""
     shape, scale = mean**2 / variance, variance / mean
     low, high = 0.0, float(mean.max())

@@ -6,12 +6,14 @@ that presses leave does not depend on what they measure, so that their order can
 Krause, Singh & Guestrin 2008, JMLR 9, 235).
 """
 
+from collections.abc import Iterable, Iterator
+from itertools import islice
 from typing import Final
 
 import numpy as np
 
 from cbsr_qa.calibration.sheet.response_processes import compute_covariance
-from cbsr_qa.domain.numbers import Array
+from cbsr_qa.domain.numbers import Array, Indices
 
 USUAL_DEVIATION: Final = 0.2
 USUAL_LENGTH: Final = 0.4
@@ -40,23 +42,61 @@ def order_presses(
     n, end = len(candidates_mm), len(candidates_mm) + len(targets_mm)
     correlations = [compute_covariance(every, every, USUAL_LENGTH * radius_mm, smooth) for smooth in (True, False)]
     covariances = USUAL_DEVIATION**2 * np.array(correlations) + _UNKNOWN
-    for number in range(end, len(every)):
-        covariances = _press(covariances, number)
-    chosen: list[int] = []
-    left = []
-    for _ in range(count):
-        pressed_variance = np.diagonal(covariances, axis1=1, axis2=2)[:, :n] + USUAL_SCATTER**2
-        gain = ((covariances[:, :n, n:end] ** 2).sum(axis=2) / pressed_variance).sum(axis=0)
-        gain[chosen] = -1.0
-        # Rounded, so that mirror images are told apart by their number and not by the last bits.
-        chosen.append(int(np.argmax(np.round(gain / gain.max(), 9))))
-        covariances = _press(covariances, chosen[-1])
-        left.append(float(np.diagonal(covariances, axis1=1, axis2=2)[:, n:end].mean()))
-    return chosen, np.array(left)
+    presses = choose_presses(
+        covariances,
+        np.full(2, 0.5),
+        np.full(2, USUAL_SCATTER**2),
+        np.arange(n),
+        np.arange(n, end),
+        pressed=range(end, len(every)),
+    )
+    chosen, after = zip(*islice(presses, count), strict=True)
+    return list(chosen), np.array([np.diagonal(left, axis1=1, axis2=2).mean() for left in after])
 
 
-def _press(covariances: Array, number: int) -> Array:
+def choose_presses(
+    covariances: Array,
+    weights: Array,
+    scatter: Array,
+    candidates: Indices,
+    targets: Indices,
+    *,
+    pressed: Iterable[int] = (),
+    first: Iterable[int] = (),
+) -> Iterator[tuple[int, Array]]:
+    """Yield presses one by one, each where it reduces the mean variance at the targets most.
+
+    Parameters
+    ----------
+    covariances : (m, n, n) of the logarithm of the response at all places, of each member of a mixture.
+    weights, scatter : (m,) weights of the members, and variances of single loads.
+    candidates, targets : which of the places may be pressed, once each, and which shall be known.
+    pressed : places that were pressed before.
+    first : candidates to press before any is chosen.
+
+    Yields
+    ------
+    The candidate's number among all places, and the covariances (m, t, t) at the targets after its press.
+    """
+    for number in pressed:
+        covariances = _press(covariances, number, scatter)
+    forced, left = list(first), candidates.tolist()
+    while left:
+        if forced:
+            number = forced.pop(0)
+        else:
+            pressed_variance = np.diagonal(covariances, axis1=1, axis2=2)[:, left] + scatter[:, None]
+            reduced = (covariances[:, np.array(left)[:, None], targets] ** 2).sum(axis=2) / pressed_variance
+            gain = weights @ reduced
+            # Rounded, so that mirror images are told apart by their number and not by the last bits.
+            number = left[int(np.argmax(np.round(gain / gain.max(), 9)))]
+        left.remove(number)
+        covariances = _press(covariances, number, scatter)
+        yield number, covariances[:, targets[:, None], targets]
+
+
+def _press(covariances: Array, number: int, scatter: Array) -> Array:
     column = covariances[:, :, number]
-    variance = covariances[:, number, number] + USUAL_SCATTER**2
+    variance = covariances[:, number, number] + scatter
     pressed: Array = covariances - column[:, :, None] * column[:, None, :] / variance[:, None, None]
     return pressed

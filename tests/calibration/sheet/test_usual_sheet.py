@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from cbsr_qa.calibration.sheet.response_processes import compute_covariance
-from cbsr_qa.calibration.sheet.usual_sheet import USUAL_SCATTER, order_presses
+from cbsr_qa.calibration.sheet.usual_sheet import USUAL_SCATTER, choose_presses, order_presses
 
 RADIUS_MM = 50.0
 TARGETS_MM = np.random.default_rng(1).uniform(-30, 30, (20, 2))
@@ -45,3 +45,25 @@ def test_no_place_is_pressed_twice_and_all_can_be():
     order, left = order_presses(CANDIDATES_MM, TARGETS_MM, 12, pressed_mm=NONE_MM, radius_mm=RADIUS_MM)
     assert sorted(order) == list(range(12))
     assert (np.diff(left) < 0).all()
+
+
+def test_presses_that_come_first_are_pressed_first_and_the_others_where_they_help_most():
+    every = np.vstack([CANDIDATES_MM, TARGETS_MM])
+    lengths_mm, scatter = (15.0, 25.0), np.array([1e-4, 4e-4])
+    prior = np.array([0.04 * compute_covariance(every, every, length, True) for length in lengths_mm])
+    weights = np.array([0.8, 0.2])
+    targets = np.arange(12, 32)
+    presses = list(choose_presses(prior, weights, scatter, np.arange(12), targets, pressed=[3], first=[7, 1]))
+    order = [number for number, _ in presses]
+    assert order[:2] == [7, 1]
+    assert sorted(order) == list(range(12))
+
+    def leave(numbers, member):
+        seen = prior[member][np.ix_(numbers, numbers)] + scatter[member] * np.eye(len(numbers))
+        between = prior[member][np.ix_(targets, numbers)]
+        return prior[member][np.ix_(targets, targets)] - between @ np.linalg.solve(seen, between.T)
+
+    for member in range(2):
+        np.testing.assert_allclose(presses[2][1][member], leave([3, *order[:3]], member), atol=1e-12)
+    left = [weights @ [np.trace(leave([3, 7, 1, number], member)) for member in range(2)] for number in range(12)]
+    assert order[2] == min(set(range(12)) - {7, 1}, key=lambda number: left[number])
