@@ -88,24 +88,15 @@ def study_stored(
     kept_file = writable_folder(var_folder() / "frontier") / "stored.jsonl"
     if fresh:
         kept_file.unlink(missing_ok=True)
-    compute = _Pieces(Kept(kept_file), tell)
+    compute = Pieces(Kept(kept_file), tell)
     trials = compute.collect(StoredTrial, [(run.run, run.words, plan_trial(url, run.run)) for run in runs])
-    sensors: list[KeptSensor] = []
+    prior = BatchAsPrior(0, why)
     if batch is not None:
-        observations = [(f"{run}/loads", serial, plan_observation(url, run)) for serial, run in batch.runs]
-        sensors = compute.collect(KeptSensor, observations)
-        why = explain_few_others([sensor.serial for sensor in sensors], runs)
-    if batch is not None and not why:
-        models = learn_others(batch, sensors, [run.serial for run in runs])
-        with_models = [(run, models[run.serial]) for run in runs]
-        work = [
-            (f"{run.run}/{model.content_sha256}", run.words, plan_trial(url, run.run, model))
-            for run, model in with_models
-        ]
-        trials += compute.collect(StoredTrial, work)
-    by_way = _group_trials(trials, design, with_batch=not why)
+        with_batch, prior = try_batch(batch, runs, url, compute)
+        trials += with_batch
+    by_way = _group_trials(trials, design, with_batch=not prior.why)
     points = tuple(make_points(by_way, design))
-    prior = BatchAsPrior(len(sensors), why, tuple(compare_pairs(points)))
+    prior = replace(prior, changes=tuple(compare_pairs(points)))
     frontier = Frontier(False, points, choose_way(by_way, design, target), batch=prior)
     if recipe is not None:
         write_stored_recipe(frontier.recommended, json.loads(configuration)["recipe"], design, recipe)
@@ -113,7 +104,7 @@ def study_stored(
     return frontier
 
 
-class _Pieces:
+class Pieces:
     """Work on stored runs in several processes, kept when done."""
 
     def __init__(self, kept: Kept, tell: Tell) -> None:
@@ -135,6 +126,24 @@ def _find_batch(
         return find_batch(store, selection, runs), ""
     except RefusedError as refusal:
         return None, refusal.reason
+
+
+def try_batch(
+    batch: StoredBatch, runs: Sequence[RunLine], url: str, compute: Pieces
+) -> tuple[list[StoredTrial], BatchAsPrior]:
+    """Try the batch as prior: each sensor with the model of the others; none if too few of them say anything."""
+    observations = [(f"{run}/loads", serial, plan_observation(url, run)) for serial, run in batch.runs]
+    sensors = compute.collect(KeptSensor, observations)
+    why = explain_few_others([sensor.serial for sensor in sensors], runs)
+    if why:
+        return [], BatchAsPrior(len(sensors), why)
+    models = learn_others(batch, sensors, [run.serial for run in runs])
+    with_models = [(run, models[run.serial]) for run in runs]
+    work = [
+        (f"{run.run}/{model.content_sha256}", run.words, plan_trial(url, run.run, model))
+        for run, model in with_models
+    ]
+    return compute.collect(StoredTrial, work), BatchAsPrior(len(sensors))
 
 
 def _choose_runs(store: Repository, selection: RunSelection) -> list[RunLine]:

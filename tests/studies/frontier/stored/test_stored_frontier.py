@@ -27,15 +27,17 @@ from cbsr_qa.studies.batch.sensors import map_loads
 from cbsr_qa.studies.frontier.point import BatchAsPrior
 from cbsr_qa.studies.frontier.recommend import Target
 from cbsr_qa.studies.frontier.setting import GRID, Setting
-from cbsr_qa.studies.frontier.stored import batch as batch_of_runs
+from cbsr_qa.studies.frontier.stored import batch as batch_of_runs, study
 from cbsr_qa.studies.frontier.stored.batch import StoredBatch, learn_others
 from cbsr_qa.studies.frontier.stored.report import lay_out_stored
 from cbsr_qa.studies.frontier.stored.study import (
     CHANGE,
     FORCE,
+    Pieces,
     choose_way,
     compare_pairs,
     make_points,
+    try_batch,
     write_stored_recipe,
 )
 from cbsr_qa.studies.frontier.stored.trial import Design, StoredTrial, Way, measure_left_out_s, read_design, try_ways
@@ -201,6 +203,43 @@ def test_why_a_batch_is_no_prior_is_said(batches, serials, said, monkeypatch):
     with pytest.raises(RefusedError) as refused:
         batch_of_runs.find_batch(None, RunSelection(), runs)
     assert said in refused.value.reason
+
+
+class InLine(Pieces):
+    """Pieces that are computed at once, and not kept."""
+
+    def __init__(self):
+        self.keys = []
+
+    def collect(self, kind, work):
+        self.keys += [key for key, _, _ in work]
+        return [result for _, _, run in work for result in run()]
+
+
+@pytest.mark.parametrize(("silent", "told"), [(0, True), (3, False)])
+def test_every_run_is_tried_with_the_model_of_the_others(silent, told, monkeypatch):
+    sensors = {sensor.run: sensor for sensor in kept_sensors()}
+    models = {}
+    monkeypatch.setattr(
+        study, "plan_observation", lambda url, run: lambda: [sensors[run]] if int(run[4:]) >= silent else []
+    )
+    monkeypatch.setattr(study, "plan_trial", lambda url, run, model: lambda: models.update({run: model}) or [run])
+    batch = StoredBatch(
+        tuple((sensor.serial, run) for run, sensor in sensors.items()),
+        "41",
+        "disc-100mm",
+        "cbsr-8wt",
+        13.0,
+        RADIUS_MM,
+    )
+    runs = [SimpleNamespace(serial=sensor.serial, run=run, words=run) for run, sensor in sensors.items()]
+    compute = InLine()
+    trials, prior = try_batch(batch, runs, "", compute)
+    assert prior.sensors == 8 - silent
+    assert bool(prior.why) != told
+    assert trials == (list(sensors) if told else [])
+    assert all({other.run for other in model.sensors} == set(sensors) - {run} for run, model in models.items())
+    assert len(set(compute.keys)) == len(compute.keys)
 
 
 def with_batch(gain, sensors=10):
