@@ -144,14 +144,17 @@ class Replay:
 
     Parameters
     ----------
-    station : station that replays it; RefusedError if the transcript has not its instruments and drivers.
+    station : station that replays it; RefusedError if the transcript has not its instruments and drivers. None for
+        any.
     """
 
     replays = True
 
-    def __init__(self, transcript: Transcript, station: Station, clock: Clock) -> None:
-        self._transcript, self.clock = transcript, clock
-        self.hidden = _list_secrets(station)
+    def __init__(self, transcript: Transcript, station: Station | None, clock: Clock) -> None:
+        self._transcript, self._clock = transcript, clock
+        self._hidden = [] if station is None else _list_secrets(station)
+        if station is None:
+            return
         for spec in station.instruments:
             driver = transcript.drivers.get(spec.role)
             if driver != spec.driver:
@@ -163,7 +166,7 @@ class Replay:
                 )
 
     def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
-        return ReplayedLink(self._transcript, role, self.clock, self.hidden)
+        return ReplayedLink(self._transcript, role, self._clock, self._hidden)
 
     def describe_last(self, role: str) -> str:
         return ""

@@ -1,14 +1,20 @@
 """A check of the emulated bench that is recorded, and made again from its transcript."""
 
 import json
+from dataclasses import replace
 
 import numpy as np
 import pytest
+from simulated_setting import context
 
 from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.plugin import Kind
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing import replay_transcript
 
 BENCH = CheckRequest("bench-emulated", ring_ohm=10000.0)
 
@@ -70,6 +76,22 @@ def test_a_sensor_cannot_be_run_by_a_transcript(recorded, capsys):
     assert "--golden" in capsys.readouterr().err
 
 
-def test_an_existing_file_is_refused_before_anything_is_opened(recorded):
+def test_a_drivers_test_replays_its_own_instrument(recorded):
+    """The driver alone, at no station: its samples are those of the recorded check."""
+    _, path, result = recorded
+    clock, plugins = VirtualClock(), discover()
+    told = replace(context(None, clock=clock), role="thermometer", options={"address": "emulated"})
+    with replay_transcript(path, clock) as transcript:
+        assert transcript.drivers["thermometer"] == "serial-thermometer"
+        instrument = plugins.factory(Kind.INSTRUMENT, "serial-thermometer")(told)
+        clock.sleep(20.0)
+        samples = instrument.samples_since(0.0)
+        instrument.close()
+    (line,) = [line for line in result.results if line.name == "samples of temperature"]
+    assert f"mean {samples.values.mean():.1f}" in line.said
+
+
+def test_an_existing_file_is_refused_before_anything_is_opened(recorded, monkeypatch, tmp_path):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     with pytest.raises(RefusedError, match="exists already"):
         check_station(CheckRequest("bench-emulated", record=recorded[1]))
