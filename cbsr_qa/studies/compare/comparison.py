@@ -130,12 +130,12 @@ class Comparison:
         return difference.p is not None and difference.p < self.terms.level
 
     def side(self, metric: MetricComparison, difference: Estimated) -> str:
-        """Describe on which side of its reference a group lies; as better or worse if a single limit decides that."""
+        """Compare a group with its reference: worse or better if a single limit decides, else higher or lower."""
         is_above, values = (difference.difference or 0.0) > 0, metric.values
         one_limit = (values.lower is None) != (values.upper is None)
         if one_limit and isinstance(difference, Difference) and self.by is not By.STATION:
             return "worse than" if is_above is (values.lower is None) else "better than"
-        return "above" if is_above else "below"
+        return "higher than" if is_above else "lower than"
 
 
 def compare_groups(selection: RunSelection, terms: Terms, *, database: str | None, now: datetime) -> Comparison:

@@ -23,7 +23,13 @@ _NONE: Final = "–"
 _COMPARED: Final = "by {by}, with {reference} as reference"
 _RUNS: Final = "{runs} of {sensors} at {stations}, recipe {recipes}"
 _NO_COMPARISON: Final = "{groups}: nothing could be compared"
-_READS: Final = "{who} reads {size} ({low} to {high}) {side} {reference}{metric}"
+_READS: Final = "{who} reads {size} ({low} to {high}) {side} {reference}{metric}{where}"
+#: What a difference was compared within, so that it is not another one.
+_WITHIN: Final = {
+    "stations": " at the same stations",
+    "batches": " in the same batches",
+    "groups": " in the same groups",
+}
 _MORE: Final = "{count} in the tables"
 _NONE_SHOWN: Final = "{groups}: no difference shown in {metrics}"
 _NOT_SHOWN: Final = "{groups}: no difference from {reference} shown"
@@ -86,7 +92,7 @@ def compare_outcome(comparison: Comparison) -> CommandOutcome[Comparison]:
 
 
 def _headline(comparison: Comparison) -> str:
-    """Answer in one line: the largest differences, a deviating station, and groups without a shown difference."""
+    """Answer in two sentences: which groups differ, and which station, each with the other taken out."""
     group_names = [group.name for group in comparison.groups]
     if not comparison.compared:
         return _NO_COMPARISON.format(groups=_join_groups(group_names))
@@ -105,23 +111,36 @@ def _headline(comparison: Comparison) -> str:
         (pair for pair in stations if comparison.significant(pair[1])),
         key=lambda pair: (pair[0].values.title not in titles, pair[1].p),
     )
-    readings += [
-        (metric, difference, prefix_kind("station", difference.station))
-        for metric, difference in deviating_stations[:1]
-    ]
-    clauses = [
-        *_readings(readings, comparison),
+    within_stations = "".join(_WITHIN[factor] for factor in _list_factors(comparison))
+    of_groups = [
+        *_readings(readings, comparison, within_stations),
         *_say_alike({difference_found.group for _, difference_found in significant_pairs}, comparison),
         *_say_missing(comparison),
     ]
-    unlisted_count = len(significant_pairs) + len(deviating_stations) - len(readings)
+    shown_station = [
+        (metric, difference, prefix_kind("station", difference.station))
+        for metric, difference in deviating_stations[:1]
+    ]
+    in_batches = comparison.by is By.BATCH or len(comparison.all_batches) > 1
+    of_stations = list(_readings(shown_station, comparison, _WITHIN["batches" if in_batches else "groups"]))
+    unlisted_count = len(significant_pairs) + len(deviating_stations) - len(readings) - len(shown_station)
     if unlisted_count:
-        clauses.append(_MORE.format(count=plural(unlisted_count, "more difference")))
-    text = "; ".join(clauses)
-    return text if text.startswith(tuple(group_names)) else capital(text)
+        (of_stations or of_groups).append(_MORE.format(count=plural(unlisted_count, "more difference")))
+    first, second = "; ".join(of_groups), "; ".join(of_stations)
+    first = first if first.startswith(tuple(group_names)) else capital(first)
+    second = second if second.startswith(tuple(comparison.all_stations)) else capital(second)
+    return f"{first}. {second}." if second else first
 
 
-def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison) -> Iterator[str]:
+def _list_factors(comparison: Comparison) -> list[str]:
+    """Factors with several levels that the groups were compared within."""
+    levels = {"stations": comparison.all_stations, "batches": comparison.all_batches}
+    return [factor for factor in comparison.others.split(" and ") if len(levels[factor]) > 1]
+
+
+def _readings(
+    shown: Sequence[tuple[MetricComparison, Estimated, str]], comparison: Comparison, within: str
+) -> Iterator[str]:
     """State differences from the reference; the metric is named when it changes."""
     previous_title = ""
     for metric, difference, group_words in shown:
@@ -136,6 +155,7 @@ def _readings(shown: Sequence[tuple[MetricComparison, Estimated, str]], comparis
             side=comparison.side(metric, difference),
             reference=difference.reference,
             metric="" if metric.values.title == previous_title else f" in {metric.values.title}",
+            where=within,
         )
         previous_title = metric.values.title
 

@@ -27,15 +27,17 @@ _LEAST_NAMED: Final = 0.05  #: share of a family that is named
 _LIKELY: Final = 0.5  #: share from which the lot is said to be of some families
 
 # Sentences, in reading order.
+_ACCEPT: Final = "{limits} to accept"
+_LOOK: Final = "{limits} to check before you accept"
 _EACH: Final = (
-    "each holds {coverage:g} % of good sensors, with {confidence:g} % confidence, if the condition in the notes holds"
-    "{together}; {fails}"
+    "{fails}; each holds {coverage:g} % of good sensors, with {confidence:g} % confidence, if the condition in the"
+    " notes holds{together}"
 )
 _TOGETHER: Final = "; the {count} together may fail up to {percent:.3g} %"
-_LOT_FAILS: Final = "of this lot {failing} of {sensors} sensors fail{names}"
+_LOT_FAILS: Final = "{failing} of {sensors} sensors of the lot fail{names}"
 _LIMITS: Final = (
-    "Mean of all values, deviation of the sensors' worst values, proposed limits with guard band; sensors of the lot "
-    "that fail the present limit → the proposed one, and that pass it marginally."
+    "Present limit, proposed one with guard band; sensors of the lot that fail the present limit → the proposed one,"
+    " and that pass it marginally."
 )
 _BASIS: Final = (
     "Basis of each limit: the worst value of each run, its distribution or shares of families, the factor k on the "
@@ -70,9 +72,9 @@ _NOT_PROPOSED: Final = "{label}: no limit is proposed: {why}{far}."
 def limits_outcome(proposed: ProposedLimits) -> CommandOutcome[ProposedLimits]:
     """Lay proposed limits out."""
     guarded = [limit for limit in proposed.limits if limit.uncertainty.standard is not None]
-    blocks: list[Block] = [_limits(proposed), _basis(proposed.limits)]
-    blocks += [_guards(guarded, proposed.guard_factor)] if guarded else []
-    sections = [Section("Limits", tuple(blocks))]
+    basis: list[Block] = [_basis(proposed.limits)]
+    basis += [_guards(guarded, proposed.guard_factor)] if guarded else []
+    sections = [Section("Limits", (_limits(proposed),)), Section("Basis", tuple(basis))]
     notes = tuple(_notes(proposed))
     sections += [Section("Notes", notes)] if notes else []
     return CommandOutcome(proposed, _page(proposed), tuple(sections))
@@ -99,44 +101,30 @@ def _page(proposed: ProposedLimits) -> Page:
     facts += [("File", proposed.output)] if proposed.output else []
     warnings = (*(f"not good: {words}" for words in lot.not_good), *(f"mixed {words}" for words in lot.mixed))
     warnings += tuple(SIZELESS.format(label=label) for label in proposed.without_size)
-    banner = Banner("plain", _NONE, f"{plural(count, 'limit')} proposed", reason)
+    headline = (_LOOK if failing or warnings else _ACCEPT).format(limits=plural(count, "limit"))
+    banner = Banner("plain", _NONE, headline, reason)
     return Page("Proposed limits", proposed.version, banner, tuple(facts), lot.simulated, warnings)
 
 
 def _limits(proposed: ProposedLimits) -> Table:
-    columns = (
-        "measurement",
-        "unit",
-        "sensors",
-        "mean",
-        "deviation",
-        "distribution",
-        "lower",
-        "upper",
-        "guard",
-        "present",
-    )
+    columns = ("measurement", "unit", "present", "lower", "upper", "guard", "sensors", "fail", "marginal")
     rows = []
     for limit in proposed.limits:
-        distributions = dict.fromkeys(str(bound.distribution).partition(" ")[0] for bound in limit.bounds.values())
         present_failures = _NONE if limit.lot_fails_present is None else len(limit.lot_fails_present)
         rows.append(
             (
                 limit.label,
                 unit_shown(limit.unit),
-                f"{limit.sensors} × {limit.values}" if limit.values > 1 else str(limit.sensors),
-                number(limit.mean, 4),
-                number(max(bound.worst_deviation for bound in limit.bounds.values()), 4),
-                next(iter(distributions)) if len(distributions) == 1 else "see below",
+                _limit_words(limit.present),
                 _exact(limit.lower),
                 _exact(limit.upper),
                 number(limit.marginal) if limit.marginal else "none",
-                _limit_words(limit.present),
+                f"{limit.sensors} × {limit.values}" if limit.values > 1 else str(limit.sensors),
                 f"{present_failures} → {len(limit.lot_fails)} of {limit.sensors}",
                 str(len(limit.lot_marginal)),
             )
         )
-    return text_table(_LIMITS, (*columns, "fail", "marginal"), rows, (2, 3, 4, 6, 7, 8, 11))
+    return text_table(_LIMITS, columns, rows, (3, 4, 5, 6, 8))
 
 
 def _basis(limits: tuple[ProposedLimit, ...]) -> Table:
