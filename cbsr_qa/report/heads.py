@@ -46,7 +46,7 @@ def run_page(result: RunResult) -> Page:
         ("Station", identity.station),
         ("Recipe", identity.recipe),
         ("Operator", identity.operator or "not stated"),
-        ("Started", identity.started_at.strftime("%Y-%m-%d %H:%M %Z").strip()),
+        ("Started", identity.started_at.astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()),
         ("Run", identity.run),
         ("Station time", duration(record.station_s)),
         _describe_issued(result),

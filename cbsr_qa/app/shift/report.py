@@ -24,8 +24,8 @@ _NOTHING: Final = "nothing was tested"
 _COUNTS: Final = "{passed} passed, {failed} failed{others}"
 _YIELD: Final = "{passed} of {count}, {share:.0f} % ({low:.0f} to {high:.0f} %)"
 _CUT: Final = "The latest {shown} of {count}; --csv FILE and --json have all."
-_RUNS: Final = "Oldest first; times are UTC."
-_SENSORS: Final = "Each with the verdict of its last decided run, the last tested at the end; times are UTC."
+_RUNS: Final = "Oldest first; times are {zone}."
+_SENSORS: Final = "Each with the verdict of its last decided run, the last tested at the end; times are {zone}."
 _NO_RESULT: Final = "no result yet: cbsr-qa run --resume {run} computes it"
 _REASONS: Final = "Sensors and runs that failed a limit; one run may fail several."
 _CODES: Final = "Sensors and runs with a failure code of their recipe; one run may have several."
@@ -45,7 +45,8 @@ def runs_outcome(found: RunList) -> CommandOutcome[RunList]:
     """Lay out a list of runs."""
     rows = [_run_row(run) for run in found.runs[-MOST_SHOWN:]]
     columns = ("began", "sensor", "try", "batch", "station", "recipe", "verdict", "reason")
-    table = text_table(_cut(_RUNS, len(found.runs)), columns, rows, (2,))
+    caption = _RUNS.format(zone=_name_zones([run.started_at for run in found.runs]))
+    table = text_table(_cut(caption, len(found.runs)), columns, rows, (2,))
     return _outcome(found, "Runs", plural(len(found.runs), "run"), table)
 
 
@@ -53,7 +54,8 @@ def sensors_outcome(found: SensorList) -> CommandOutcome[SensorList]:
     """Lay out a list of sensors."""
     rows = [_sensor_row(sensor) for sensor in found.sensors[-MOST_SHOWN:]]
     columns = ("last run", "sensor", "batch", "recipe", "runs", "station", "verdict", "reason")
-    table = text_table(_cut(_SENSORS, len(found.sensors)), columns, rows, (4,))
+    caption = _SENSORS.format(zone=_name_zones([sensor.last for sensor in found.sensors]))
+    table = text_table(_cut(caption, len(found.sensors)), columns, rows, (4,))
     return _outcome(found, "Sensors", plural(len({sensor.serial for sensor in found.sensors}), "sensor"), table)
 
 
@@ -174,7 +176,13 @@ def _verdict(verdict: Outcome | Altered | None, end: EndReason, chain: str) -> C
 
 
 def _moment(moment: datetime) -> str:
-    return f"{moment:%Y-%m-%d %H:%M}"
+    """Write a time by this computer's clock; JSON and CSV have UTC."""
+    return f"{moment.astimezone():%Y-%m-%d %H:%M}"
+
+
+def _name_zones(moments: Sequence[datetime]) -> str:
+    """Name the zone of times by this computer's clock, or both in summer and winter."""
+    return " and ".join(dict.fromkeys(moment.astimezone().tzname() or "local" for moment in moments)) or "UTC"
 
 
 def _csv(kind: type, entries: Sequence[Any]) -> str:

@@ -3,10 +3,11 @@
 Rows of a run, its states, analyses and overrides are compared with their links before anybody sees a verdict.
 """
 
+import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from datetime import datetime
-from functools import partial
+from functools import lru_cache, partial
 from typing import Any, Final
 
 from sqlalchemy import Connection
@@ -34,6 +35,7 @@ _STATE: Final = ("end", "detail", "time_s")
 _RESULT: Final = ("analysis", "analysed_at", "outcome", "reason", "software")
 _DECISION: Final = ("outcome", "operator", "why")
 _ENDS: Final = {str(end): end for end in EndReason}
+_SEED: Final = re.compile(r'"seed":\d+')
 #: Outcomes of analyses that no failure code is for.
 _UNCODED: Final = frozenset(map(str, (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)))
 _OUTCOMES: Final = {str(outcome): outcome for outcome in Outcome}
@@ -165,6 +167,11 @@ def _read_failure_codes(configuration: str) -> tuple[FailureCode, ...]:
     """Return the codes of a stored recipe. Raise as reading a foreign cell where an unchained run holds others."""
     if '"failure_codes"' not in configuration:
         return ()
+    return _parse_failure_codes(_SEED.sub('"seed":0', configuration))
+
+
+@lru_cache(maxsize=32)  # thousands of runs differ in their seed only, and parsing takes longer than all else of a run
+def _parse_failure_codes(configuration: str) -> tuple[FailureCode, ...]:
     return read_failure_codes(parse_json(configuration)["recipe"].get("failure_codes", {}))
 
 

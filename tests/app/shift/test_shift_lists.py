@@ -3,6 +3,7 @@
 import csv
 import io
 import json
+import time
 from datetime import timedelta
 
 import pytest
@@ -182,3 +183,22 @@ def test_sensors_say_who_overrode_the_verdict_that_they_show(shift, capsys):
     assert overridden == {"D": ("Bob", "scratched"), "E": ("Bob", "draught")}
     run_guarded(["sensors", "--database", url])
     assert "overridden by Bob: draught" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.fixture
+def in_zurich(monkeypatch):
+    monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
+    time.tzset()
+    yield
+    monkeypatch.undo()
+    time.tzset()
+
+
+def test_a_terminal_shows_local_times_with_their_zone_and_a_file_has_utc(shift, capsys, tmp_path, in_zurich):
+    url, _, _ = shift
+    assert run_guarded(["runs", "--database", url]) == 0
+    said = capsys.readouterr().out
+    assert "times are CET." in said
+    assert "2026-11-21 09:00" in said
+    assert run_guarded(["runs", "--csv", str(tmp_path / "runs.csv"), "--database", url]) == 0
+    assert "2026-11-21T08:00:00.123456+00:00" in (tmp_path / "runs.csv").read_text()
