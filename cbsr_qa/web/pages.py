@@ -174,7 +174,11 @@ def _base(station: str) -> str:
 
 def _environment() -> Environment:
     environment = Environment(
-        loader=PackageLoader("cbsr_qa.web"), autoescape=True, undefined=StrictUndefined, trim_blocks=True
+        loader=PackageLoader("cbsr_qa.web"),
+        autoescape=True,
+        undefined=StrictUndefined,
+        trim_blocks=True,
+        auto_reload=False,  # of an upgrade under a running server, the next one takes both templates and code
     )
     environment.globals |= {
         "t": text,
