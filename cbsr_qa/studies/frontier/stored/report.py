@@ -26,7 +26,7 @@ _PLOT: Final = "Force error against station time. Filled: worth its time. Ring: 
 _PLOT_ALTERNATIVE: Final = "Force errors against station time; the table has the numbers."
 _PAIRS: Final = (
     "The batch as prior, on {sensors} sensors, each with a model of the others. The change is the mean of pairs, "
-    "with its interval of 95 % over the sensors."
+    "with its interval of 95 % over the sensors; the batch is recommended only where that shows a gain."
 )
 _UNTOLD: Final = (
     "Only places that were pressed can be kept: recipe adaptive-batch chooses its own by the batch, and has no long "

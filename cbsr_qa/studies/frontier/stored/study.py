@@ -17,7 +17,7 @@ from cbsr_qa.report.tables import plural
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.frontier.files import WRITTEN_BY, check_recipe, write_document
-from cbsr_qa.studies.frontier.point import Accuracy, BatchAsPrior, BatchChange, Point, TimeBasis, restore
+from cbsr_qa.studies.frontier.point import Accuracy, BatchAsPrior, BatchChange, Knob, Point, TimeBasis, restore
 from cbsr_qa.studies.frontier.recommend import CONFIDENCE, USUAL_ROOM, Recommendation, Target
 from cbsr_qa.studies.frontier.station import mark_worth_of_station
 from cbsr_qa.studies.frontier.stored.batch import (
@@ -220,7 +220,8 @@ def choose_way(by_way: TrialsByWay, design: Design, target: Target) -> Recommend
     """Choose the fastest way whose mean force error is small enough with a confidence of 90 %.
 
     Small enough: below the target; without one, at most 1.2 times that of the most accurate way, in pairs. With a
-    budget the way must take no longer. From eight sensors on, every second one chooses and the others confirm; the
+    budget the way must take no longer. The batch is taken only where its interval over all sensors shows a gain. From
+    eight sensors on, every second one chooses and the others confirm; the
     error stated is theirs.
     """
     whole = by_way[design.whole]
@@ -234,7 +235,9 @@ def choose_way(by_way: TrialsByWay, design: Design, target: Target) -> Recommend
     chosen_points, confirmed_points = points_of(choosing), points_of(confirming)
     limit = _describe_limit(target)
 
-    tried = [way for way, point in chosen_points.items() if FORCE in point.accuracy]
+    gains = _list_gains(make_points(by_way, design))
+    usable = [way for way in by_way if way.prior == "none" or way.knobs in gains]
+    tried = [way for way in usable if FORCE in chosen_points[way].accuracy]
     if not tried:
         return Recommendation(
             None, None, None, f"every way is refused on a sensor: {chosen_points[design.whole].note}"
@@ -244,7 +247,7 @@ def choose_way(by_way: TrialsByWay, design: Design, target: Target) -> Recommend
     def suffices(way: Way, points: Mapping[Way, Point]) -> bool:
         return _is_small_enough(points[way], points[best], target)
 
-    candidates = [way for way in by_way if suffices(way, chosen_points)]
+    candidates = [way for way in usable if suffices(way, chosen_points)]
     candidates.sort(key=lambda way: chosen_points[way].station_s or 0.0)
     for way in candidates[:_ATTEMPTS]:
         point = confirmed_points[way]
@@ -253,6 +256,17 @@ def choose_way(by_way: TrialsByWay, design: Design, target: Target) -> Recommend
             why = f"the fastest of {len(by_way)} ways with {limit}, on {plural(len(choosing), 'sensor')} {others}"
             return Recommendation(point.knobs, point.accuracy, point.station_s, why, seeds=point.seeds)
     return Recommendation(None, None, None, f"none of {len(by_way)} ways has {limit}")
+
+
+def _list_gains(points: Sequence[Point]) -> list[Mapping[str, Knob]]:
+    """Settings with the batch as prior that are shown to be more accurate than the same without."""
+    with_batch = (point for point in points if point.knobs["prior"] == "batch")
+    changes = {(change.places, change.hold_s, change.transients): change.high_N for change in compare_pairs(points)}
+    return [
+        point.knobs
+        for point in with_batch
+        if changes.get((point.knobs["places"], point.knobs["hold_s"], point.knobs["transients"]), 0.0) < 0
+    ]
 
 
 def _describe_limit(target: Target) -> str:
