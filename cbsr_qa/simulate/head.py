@@ -183,25 +183,29 @@ class SimulatedHead:
         self._go(surface + depth_mm, speed_mm_s)
 
     def lift(self) -> None:
-        """Move up to the hover height: out of the sheet at the speed of the press, then faster."""
+        """Move to the hover height: out of the sheet at the speed of the press, then faster."""
         clear = self._surface_mm() - CLEARANCE_MM
         if self._depth_mm > clear:
             self._go(clear, self._speed_mm_s)
-        higher_mm = max(self._depth_mm, -self._motion.hover_mm)  # a head above a lowered hover height stays there
-        self._go(min(self._up_mm, higher_mm), self._motion.travel_speed_mm_s)
+        self._go(self._up_mm, self._motion.travel_speed_mm_s)
 
     def drop_everything(self) -> None:
         """Start lifting at the travel speed and return; the next movement waits for the lift."""
         up_s = self._start(-self._motion.hover_mm, self._motion.travel_speed_mm_s)
         self._free_at_s = max(self._free_at_s, up_s)
 
+    def approach(self) -> None:
+        """Go down to where the search for the surface begins."""
+        self.lift()
+        self._speed_mm_s = self._motion.press_speed_mm_s
+        self._go(-SEARCH_FROM_MM, self._motion.travel_speed_mm_s)
+
     def find_surface(self, read_force_N: Callable[[float], float]) -> float:
-        """Step down until the contact force, and extrapolate the force–depth line to zero.
+        """Step down until the contact force, and extrapolate the force–depth line to zero; the head has approached.
 
         Returns depth of the surface from the hover height [mm]. InstrumentError if there is no contact force down to
         the deepest point, or it does not rise with depth.
         """
-        self.lift()
         depths, forces = self._search(read_force_N)
         self.lift()
         stiffness, offset = np.polyfit(depths, forces, 1)
@@ -212,9 +216,6 @@ class SimulatedHead:
 
     def _search(self, read_force_N: Callable[[float], float]) -> tuple[list[float], list[float]]:
         """Step down past the contact force; return the last depths [mm] and their forces [N]."""
-        motion = self._motion
-        self._speed_mm_s = motion.press_speed_mm_s
-        self._go(-SEARCH_FROM_MM, motion.travel_speed_mm_s)
         depths: list[float] = []
         forces: list[float] = []
         while sum(force >= _CONTACT_FORCE_N for force in forces) < SEARCH_CONTACT_STEPS:
@@ -223,7 +224,7 @@ class SimulatedHead:
                 raise self._surface_error(
                     f"no contact force of {_CONTACT_FORCE_N:g} N down to {_SEARCH_DEPTH_MM:g} mm below nominal"
                 )
-            self._go(self._depth_mm + SEARCH_STEP_MM, motion.press_speed_mm_s)
+            self._go(self._depth_mm + SEARCH_STEP_MM, self._motion.press_speed_mm_s)
             self._clock.sleep(SEARCH_DWELL_S)
             depths.append(self._depth_mm)
             forces.append(read_force_N(SEARCH_DWELL_S))

@@ -69,6 +69,16 @@ _ACTS: Final = 1 << 12
 _STEPS: Final = 1 << 17
 
 
+def step_act(phase: int, number: int) -> int:
+    """Return the first act of a step; each act has 2²⁴ addresses, see :func:`first_address`."""
+    return (phase * _STEPS + number) * _ACTS
+
+
+def first_address(act: int) -> int:
+    """Return the first address of an act: one of the head within a step."""
+    return act * _COUNTS
+
+
 class StepAddresses:
     """Counts frames and force samples within the current step and act of the head.
 
@@ -86,7 +96,7 @@ class StepAddresses:
         self._first: list[int] = [0]
 
     def begin_step(self, phase: int, number: int) -> int:
-        return self._begin((phase * _STEPS + number) * _ACTS)
+        return self._begin(step_act(phase, number))
 
     def begin_act(self) -> int:
         """Begin an act of the head; return its first address."""
@@ -110,8 +120,8 @@ class StepAddresses:
         self._act, self._frames = act, 0
         now_s = self._clock.now()
         if now_s == self._since_s[-1]:  # nothing was sampled since
-            self._first[-1] = act * _COUNTS
+            self._first[-1] = first_address(act)
         else:
             self._since_s.append(now_s)
-            self._first.append(act * _COUNTS)
-        return act * _COUNTS
+            self._first.append(first_address(act))
+        return first_address(act)

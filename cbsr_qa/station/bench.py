@@ -15,6 +15,7 @@ from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.plugin.failures import blame_plugin
 from cbsr_qa.plugin.instruments import (
+    Addressed,
     Alive,
     ForceApplicator,
     FrameSource,
@@ -33,6 +34,8 @@ PATIENCE_S: Final = 0.25
 DEADLINE_S: Final = 10.0
 
 Action = tuple[str, Callable[[], object]]
+#: Function called before each step with its phase and number in the recipe (both from 0).
+BeginStep = Callable[[int, int], None]
 
 
 class _Call:
@@ -126,15 +129,24 @@ class Bench:
     mounted : opened instruments in the station file's order, in which they are also closed.
     stop_within_s : longest time for all of them together to reach their safe state [s, real time].
     after : further actions once all of them are closed.
+    begin_step : also told of each step: the rig behind emulated instruments.
     """
 
     def __init__(
-        self, mounted: Iterable[Mounted], *, stop_within_s: float = DEADLINE_S, after: Sequence[Action] = ()
+        self,
+        mounted: Iterable[Mounted],
+        *,
+        stop_within_s: float = DEADLINE_S,
+        after: Sequence[Action] = (),
+        begin_step: BeginStep | None = None,
     ) -> None:
         self._process = os.getpid()
         self._stop_within_s = stop_within_s
         self._after = tuple(after)
         self.mounted = tuple(mounted)
+        instruments = (mounting.instrument for mounting in self.mounted)
+        addressed = (instrument.begin_step for instrument in instruments if isinstance(instrument, Addressed))
+        self._begin_step = (*addressed, *filter(None, [begin_step]))
         mounting_by_role: dict[str, Mounted] = {}
         for mounting in self.mounted:
             for role in mounting.spec.provides:
@@ -165,6 +177,11 @@ class Bench:
             (mounted.name for mounted in self.mounted if mounted.instrument is instrument), "an unknown instrument"
         )
 
+    def begin_step(self, phase: int, number: int) -> None:
+        """Tell simulated instruments which step begins."""
+        for begin_step in self._begin_step:
+            begin_step(phase, number)
+
     def alive(self) -> tuple[Alive, ...]:
         return tuple(mounted.instrument for mounted in self.mounted if isinstance(mounted.instrument, Alive))
 
@@ -190,6 +207,7 @@ def open_bench(
     make: Callable[[InstrumentSpec], Instrument],
     *,
     after: Sequence[Action] = (),
+    begin_step: BeginStep | None = None,
 ) -> Bench:
     """Open the instruments of a station; if one fails to open, those already open are closed again.
 
@@ -199,12 +217,13 @@ def open_bench(
     ----------
     make : function that opens one instrument (finds its factory and calls it with its context).
     after : actions (who, what to call) once the instruments are closed, also where one could not be opened.
+    begin_step : see :class:`Bench`.
     """
     opened: list[Mounted] = []
     try:
         for spec in specs:
             opened.append(Mounted(spec, make(spec)))
-        return Bench(opened, after=after)
+        return Bench(opened, after=after, begin_step=begin_step)
     except BaseException:
         # The first failure is raised; a second one while closing would hide it.
         with suppress(Exception):

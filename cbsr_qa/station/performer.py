@@ -25,7 +25,6 @@ from cbsr_qa.domain.readings.frames import FrameBlock, join_frames
 from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
 from cbsr_qa.domain.run.attendance import RunContinued, RunPaused
 from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, StepRetried, Unloaded
-from cbsr_qa.plugin.instruments import Addressed
 from cbsr_qa.station.bench import FRAME_SOURCE
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.limits import Limits
@@ -133,9 +132,6 @@ class Performer:
         self._rest: Hold | None = None
         self._loads = LoadLog()
         self._at = ScheduledStep(0, 0, Home(), None)
-        self._addressed = [
-            mounted.instrument for mounted in run.bench.mounted if isinstance(mounted.instrument, Addressed)
-        ]
 
     def perform(self, scheduled: ScheduledStep) -> None:
         """Execute one step.
@@ -168,8 +164,7 @@ class Performer:
         if self._surface is not None and scheduled.phase != self._at.phase:
             self._surface.lower_hover(None)
         self._at = scheduled
-        for instrument in self._addressed:
-            instrument.begin_step(scheduled.phase, scheduled.number)
+        self._bench.begin_step(scheduled.phase, scheduled.number)
 
     def retreat(self) -> None:
         """Lift a head that is down and still as after any press, before the bench is made safe."""

@@ -116,10 +116,17 @@ def open_station(
     resumed_at_s, ask : fields of :class:`~cbsr_qa.plugin.instruments.StationContext`.
     emulated : function called with the emulation, if any: to arm faults, or to inspect its world.
     """
+    rigs = []
+
+    def note_rig(emulation: "Emulation") -> None:
+        rigs.append(emulation.rig)
+        emulated(emulation)
+
     open_one, closing_actions = opener(
-        configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=emulated
+        configuration, plugins, clock, resumed_at_s=resumed_at_s, ask=ask, emulated=note_rig
     )
-    bench = open_bench(configuration.station.instruments, open_one, after=closing_actions)
+    begin_step = rigs[0].begin_step if rigs else None
+    bench = open_bench(configuration.station.instruments, open_one, after=closing_actions, begin_step=begin_step)
     try:
         check_clock(configuration, bench.identities())
     except BaseException as error:

@@ -99,6 +99,40 @@ hold_s = 12.0
 rest_s = 11.0
 initial_rest_s = 0.0
 """
+#: As the one before, briefer, with the plane of three touches and the head just clear of it. Rests last four frames,
+#: which are all that is compared of what was before a press.
+ADAPTIVE_PLANE = """
+[recipe]
+name = "deciding over a plane"
+calibrate_phases = ["long hold", "chosen places"]
+
+[[phases]]
+name = "long hold"
+sequence = "location-grid"
+strains_percent = [20.0]
+locations_mm = [[0.0, 0.0]]
+hold_s = 10.0
+rest_s = 10.3
+initial_rest_s = 3.0
+surface = "plane"
+touches_mm = [[-30.0, -20.0], [30.0, -20.0], [0.0, 35.0]]
+clearance_mm = 3.0
+
+[[phases]]
+name = "chosen places"
+sequence = "adaptive-grid"
+target_N = 0.1
+at_least = 4
+at_most = 5
+count = 9
+radius_mm = 35.0
+strain_percent = 20.0
+hold_s = 5.0
+rest_s = 10.3
+initial_rest_s = 0.0
+find_surface = false
+clearance_mm = 3.0
+"""
 METRICS = ("centre-of-mass-error", "area-overlap", "noise-figure", "channel-noise", "applied-force", "zero-return",
            "repeatability", "load-assignment", "contact-resistance", "creep")  # fmt: skip
 #: Effects of the shipped scene without those that remember earlier presses.
@@ -109,16 +143,30 @@ STILL = ("sheet-seat", "piezoresistivity", "elastic-stress", "measurement-noise"
 UNEVEN = '[[effects]]\nname = "uneven-response"\ndeviation = 0.2\ncorrelation_mm = 20.0\n'
 
 
-def write_files(folder, *, memory=False, recipe=RECIPE, more_effects=""):
-    """Write station, scene and recipe of a quick run; with memory the scene relaxes as the shipped one."""
+def write_files(folder, *, memory=False, recipe=RECIPE, more_effects="", emulated=False):
+    """Write station, scene and recipe of a quick run.
+
+    Parameters
+    ----------
+    memory : the scene relaxes as the shipped one.
+    emulated : the station's drivers are those of a real bench, and the sensor has eight electrodes: a quarter of the
+        readings. The load cell's lines are stamped as they come: one that states its own time is put on the station's
+        clock by the lines of the last minute, and no two sessions have the same.
+    """
     from cbsr_qa.config.documents import DocumentKind, open_document
 
     scene, *effects = open_document(DocumentKind.SCENE, "base").text.split("[[effects]]")
     kept = [one for one in effects if memory or any(f'"{name}"' in one for name in STILL)]
     scene = scene.replace("sheet_mesh_size_mm = 6.0", "sheet_mesh_size_mm = 9.0").replace('"base"', '"quick"')
     (folder / "quick.toml").write_text("[[effects]]".join([scene, *kept]) + more_effects)
-    station = open_document(DocumentKind.STATION, "simulated").text
-    (folder / "station.toml").write_text(station.replace('scene = "base"', 'scene = "quick.toml"'))
+    station = open_document(DocumentKind.STATION, "bench-emulated" if emulated else "simulated").text
+    station = station.replace('scene = "base"', 'scene = "quick.toml"')
+    if emulated:
+        sensor = open_document(DocumentKind.SENSOR_TYPE, "disc-100mm").text
+        (folder / "eight.toml").write_text(sensor.replace("disc-100mm", "eight").replace("count = 16", "count = 8"))
+        station = station.replace('sensor_type = "disc-100mm"', 'sensor_type = "eight.toml"')
+        station = station.replace('"serial-load-cell"', '"serial-load-cell"\ntime = "arrival"')
+    (folder / "station.toml").write_text(station)
     shipped = open_document(DocumentKind.RECIPE, "nine-locations").text
     middle = shipped[shipped.index("[reconstruction]") : shipped.index("[metrics]")]
     metrics = "[metrics]\n" + "".join(f"{name} = {{}}\n" for name in METRICS)
@@ -129,15 +177,15 @@ def write_files(folder, *, memory=False, recipe=RECIPE, more_effects=""):
 BEGIN = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--seed", "5", "--json")
 
 
-def killed(folder, arguments, *, documents, after_s):
+def killed(folder, arguments, *, documents, after_s, limit_s=300):
     """Run a command in a fork that is killed some time after so many documents; returns whether it was."""
     out = [Path(folder) / name for name in ("out", "err")]
     process = command._forks().Process(
         target=_with_a_killer, args=(str(folder), list(arguments), out, documents, after_s)
     )
     process.start()
-    process.join(timeout=300)
-    assert process.exitcode is not None, "it has not ended after 300 s"
+    process.join(timeout=limit_s)
+    assert process.exitcode is not None, f"it has not ended after {limit_s} s"
     said = out[1].read_text()
     if process.exitcode == 3 and "the process of the run was killed by SIGKILL" in said:
         return True
@@ -311,24 +359,26 @@ def assert_nothing_lost(folder, run):
     assert len(set(loads)) == len(loads)
 
 
-def trial(folder, serial, whole, random, *, kills=2, documents=(260, 160)):
+def trial(folder, serial, whole, random, *, kills=2, documents=(260, 160), limit_s=300):
     """Kill a run some times at random moments, resume it each time, and compare it with the whole one.
 
     Parameters
     ----------
     documents : of the journal, before which the first session is killed, and each later one.
+    limit_s : longest time of one session.
     """
     (Path(folder) / "committed").unlink(missing_ok=True)
     arguments, run = (*BEGIN, "--serial", serial), None
     for _ in range(kills):
         killed_at = random.randrange(1, documents[0] if run is None else documents[1])
-        if not killed(folder, arguments, documents=killed_at, after_s=random.uniform(0.0, 0.02)):
+        after_s = random.uniform(0.0, 0.02)
+        if not killed(folder, arguments, documents=killed_at, after_s=after_s, limit_s=limit_s):
             break
         run = latest_run(folder, serial)
         if run is not None:
             arguments = ("run", "--resume", run, "--json")
     else:
-        if not killed(folder, arguments, documents=-1, after_s=0.0):
+        if not killed(folder, arguments, documents=-1, after_s=0.0, limit_s=limit_s):
             run = run or latest_run(folder, serial)
     run = latest_run(folder, serial)
     came = came_of(folder, run)

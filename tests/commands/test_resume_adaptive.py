@@ -7,7 +7,7 @@ from types import SimpleNamespace
 
 import pytest
 from command import cbsr_qa
-from killing import ADAPTIVE, BEGIN, UNEVEN, came_of, latest_run, trial, write_files
+from killing import ADAPTIVE, ADAPTIVE_PLANE, BEGIN, UNEVEN, came_of, latest_run, trial, write_files
 from made_once import made_once
 
 from cbsr_qa.app.run.decisions import compare_decisions
@@ -97,3 +97,24 @@ def test_killed_and_resumed_it_decides_the_same_and_comes_to_the_same_in_every_b
     )
     assert str(came.record.end) == "finished"
     assert differing(tmp_path, came.record) == []
+
+
+@pytest.fixture(scope="module")
+def planar():
+    """What came of a run over a plane, with the head just clear of it, that was left alone."""
+
+    def make(folder):
+        write_files(folder, recipe=ADAPTIVE_PLANE, more_effects=UNEVEN)
+        cbsr_qa(folder, *BEGIN, "--serial", "whole")
+
+    folder = made_once("deciding run over a plane left alone", make)
+    return came_of(folder, latest_run(folder, "whole"))
+
+
+@pytest.mark.rest
+@pytest.mark.parametrize("seed", range(3))
+def test_a_plane_that_is_touched_again_and_the_height_of_travel_change_no_bit(planar, tmp_path, seed):
+    write_files(tmp_path, recipe=ADAPTIVE_PLANE, more_effects=UNEVEN)
+    source = random.Random(f"planar {seed}")
+    came = trial(tmp_path, "S-1", planar, source, kills=1 + seed % 2, documents=(230, 150))
+    assert str(came.record.end) == "finished"

@@ -222,8 +222,8 @@ class PressDecided:
         if self.expected_N is None or self.upper_N is None or self.floor_N is None:
             return f"{why}; nothing could be learned about the force"
         words = (
-            f"{why}: a force error of {self.expected_N:.3g} N is expected, and at most {self.upper_N:.3g} N with the"
-            " recipe's confidence"
+            f"{why}: with the recipe's confidence the force error is at most {self.upper_N:.3g} N;"
+            f" {self.expected_N:.3g} N is expected, to which large errors that are unlikely add"
         )
         return words if self.why == "target" else f"{words}; {self.floor_N:.3g} N remain however many presses"
 

@@ -2,7 +2,9 @@
 
 import math
 from collections import deque
+from collections.abc import Callable
 from dataclasses import dataclass
+from enum import IntEnum
 from typing import Final
 
 import numpy as np
@@ -20,6 +22,14 @@ _PARKED_MM: Final = (10.0, 10.0, 40.0)
 _NEAR_MM: Final = 1e-6
 #: A resumed session may begin at any millisecond, and make this many movements (as a power of two).
 _MOVEMENTS_BITS: Final = 32
+
+
+class Order(IntEnum):
+    """Kinds of motion that a head at rest is ordered to make."""
+
+    TRAVEL = 0
+    DOWN = 1
+    UP = 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -43,9 +53,21 @@ class EmulatedHead:
 
     Speeds are constant: the time lost to acceleration at 200 mm/s² is left out, as in
     :mod:`cbsr_qa.domain.plan.steps`.
+
+    Parameters
+    ----------
+    begin_order : called as a head at rest is ordered to move; returns the address of its position errors, or None to
+        count on.
     """
 
-    def __init__(self, clock: WatchedClock, world: SimulatedWorld, motion: Motion) -> None:
+    def __init__(
+        self,
+        clock: WatchedClock,
+        world: SimulatedWorld,
+        motion: Motion,
+        begin_order: Callable[[Order], int | None],
+    ) -> None:
+        self._begin_order = begin_order
         self._clock = clock
         self._world = world
         self._hover_mm = motion.hover_mm
@@ -123,6 +145,8 @@ class EmulatedHead:
         length_mm = math.dist(origin, goal)
         if length_mm <= _NEAR_MM:
             return
+        if not self._ways and (first := self._begin_order(self._kind(origin, goal))) is not None:
+            self._written.count_from(first)
         self._ways.append(_Way(start_s, start_s + round_to_ticks(length_mm / speed_mm_s), origin, goal, speed_mm_s))
         if len(self._ways) == 1:
             self._begin(self._ways[0])
@@ -132,6 +156,11 @@ class EmulatedHead:
             self._rests = self.position_mm
             self._written.halt(self._clock.now())
             self._ways.clear()
+
+    def _kind(self, origin: Position, goal: Position) -> Order:
+        if origin[:2] != goal[:2]:
+            return Order.TRAVEL
+        return Order.UP if (goal[2] - origin[2]) * self._upward > 0 else Order.DOWN
 
     def _writer(self) -> PressWriter:
         """Start a stroke from the head's position; a resumed session has different position errors."""

@@ -10,12 +10,15 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec, Motion
 from cbsr_qa.plugin.hooks import Emulator
 from cbsr_qa.simulate.frames import SimulatedFrame
-from cbsr_qa.simulate.instruments.head import EmulatedHead
+from cbsr_qa.simulate.instruments.head import EmulatedHead, Order
 from cbsr_qa.simulate.instruments.streams import Fault, FreeRunning, Port, PtyPort, Served, TcpPort, WatchedClock
+from cbsr_qa.simulate.streams import first_address, step_act
 from cbsr_qa.simulate.world import SimulatedWorld
 
 #: More rounds than in any session.
 _ROUNDS_BITS: Final = 32
+#: A step has at most so many orders to the head of one kind.
+_ORDERS: Final = 1 << 10
 #: A round that takes so many times longer than expected was interrupted.
 _LATEST_ROUNDS: Final = 3.0
 
@@ -62,12 +65,52 @@ class EmulatedRig:
         self.lock = clock.lock
         self.world = world
         self.motion = motion
-        # In a session that resumes a run, rounds are counted from another start: their noise is addressed by the
-        # count.
+        # Before the first step, rounds of a session that resumes a run are counted from another start: their noise is
+        # addressed by the count.
         self.wiring = Wiring(frame=math.ceil(1e3 * world.setting.began_s) << _ROUNDS_BITS)
         # Watches the clock before any instrument does: their readings depend on where the head was.
-        self.head = EmulatedHead(clock, world, motion)
+        self.head = EmulatedHead(clock, world, motion, self._begin_order)
         self._taken: tuple[int, float, SimulatedFrame] | None = None
+        self._step: int | None = None
+        self._orders = dict.fromkeys(Order, 0)
+        self._counting: list[Callable[[int], None]] = []
+
+    def begin_step(self, phase: int, number: int) -> None:
+        """Address random numbers by this step from here on, and by the head's orders in it.
+
+        A step that is done again in another session then gives the numbers it would have given at first. A frame's
+        middle is told from the time of its readings as stated until some of this step were taken.
+        """
+        with self.lock:
+            setting = self.world.setting
+            self.wiring.reading_s = setting.frame_period_s / math.prod(setting.sensor_type.pattern.shape)
+            self._step = step_act(phase, number)
+            self._orders = dict.fromkeys(Order, 0)
+            self._count_from(first_address(self._step))
+
+    def count_with(self, count_from: Callable[[int], None]) -> None:
+        """Add a function that is called with the first address as a step, or an order to the head, begins."""
+        self._counting.append(count_from)
+
+    def _begin_order(self, order: Order) -> int | None:
+        """Begin an order to a head at rest; return the first address of its numbers, or None before the first step.
+
+        Orders are counted by their kind, those down since the last travel: a head that starts from elsewhere may need
+        no travel, or must come to the hover height first.
+        """
+        if self._step is None:
+            return None
+        if order is Order.TRAVEL:
+            self._orders[Order.DOWN] = 0
+        self._orders[order] += 1
+        first = first_address(self._step + order * _ORDERS + self._orders[order])
+        self._count_from(first)
+        return first
+
+    def _count_from(self, first: int) -> None:
+        self.wiring.frame = first
+        for count_from in self._counting:
+            count_from(first)
 
     def electrical(self) -> Electrical:
         """Apply Ohm's law: the commanded current flows, or the one limited by the voltage limit."""

@@ -17,6 +17,9 @@ _BOOT_S: Final = 1.0
 _HANDED_OVER_S: Final = 0.01
 #: Number of unread bytes at which the other end is taken not to read.
 _FULL: Final = 3000
+#: From the beginning of a step, or of an order to the head, to the next line [s]: a power of two, less than any order
+#: takes, so that a slow instrument is heard too.
+_NEXT_LINE_S: Final = 1 / 16
 
 
 class LineSender(ABC):
@@ -31,8 +34,8 @@ class LineSender(ABC):
     def __init__(self, rig: EmulatedRig, send: Callable[[bytes], None], rate_hz: float, banner: str) -> None:
         self._rig, self._send, self._rate_hz, self._banner = rig, send, rate_hz, banner
         self._more = 0.0
-        # A resumed session draws different noise: a block of 2³² samples for each millisecond at which it may have
-        # begun.
+        # Before the first step a resumed session draws different noise: a block of 2³² samples for each millisecond
+        # at which it may have begun.
         self._first = math.ceil(1e3 * rig.world.setting.began_s) << 32
         self._port: Port | None = None
         self._told: list[Fault] = []
@@ -42,9 +45,11 @@ class LineSender(ABC):
         self._last = b""
         with rig.lock:
             self._sent = int(rig.clock.now() * rate_hz)
+            self._before_s = 0.0
             #: Time of switching on or of the last restart [s].
             self.started_s = rig.clock.now()
             rig.clock.watch(self._follow)
+            rig.count_with(self._count_from)
 
     def attach(self, line: Port) -> None:
         """Attach the line; faults hit the lines sent."""
@@ -62,11 +67,16 @@ class LineSender(ABC):
     def _line(self, number: int, time_s: float) -> str:
         """Text of a line by its number and its time, without line end."""
 
+    def _count_from(self, first: int) -> None:
+        """Count lines from now on: they come at the same times after a step begins, whatever was before it."""
+        self._first, self._sent = first, 0
+        period_s = 1 / self._rate_hz
+        self._before_s = self._rig.clock.now() + min(_NEXT_LINE_S, period_s) - period_s
+
     def _follow(self, now_s: float) -> None:
         due = b""
-        while (self._sent + 1) / self._rate_hz <= now_s:
+        while (due_s := self._before_s + (self._sent + 1) / self._rate_hz) <= now_s:
             self._sent += 1
-            due_s = self._sent / self._rate_hz
             if due_s < self.started_s:
                 continue  # it boots
             line = f"{self._line(self._sent, due_s)}\r\n".encode("ascii")

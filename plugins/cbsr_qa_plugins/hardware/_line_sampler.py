@@ -14,7 +14,7 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import InstrumentError, SerialLink
-from cbsr_qa.system.clock import Clock, RealClock
+from cbsr_qa.system.clock import TICK_S, Clock, RealClock
 
 #: Samples are fetched every few seconds; an hour covers any pause between two steps [s].
 KEPT_S: Final = 3600.0
@@ -103,7 +103,7 @@ class DeviceTime:
         self._least.append((device_s, offset))
         while self._least[0][0] < device_s - _WINDOW_S:
             self._least.popleft()
-        self._last_s = max(device_s + self._least[0][1], self._last_s + 1e-6)
+        self._last_s = max(device_s + self._least[0][1], self._last_s + TICK_S)
         return self._last_s
 
 
@@ -257,7 +257,7 @@ class LineSampler:
                     time_s = self._device.on_station(device_s, now_s)
                 else:  # lines read together came a period apart, and after those before
                     later_samples = len(samples) - 1 - number
-                    earliest_s = max(self._log.last_s, self._began_s) + 1e-6
+                    earliest_s = max(self._log.last_s, self._began_s) + TICK_S
                     time_s = min(max(now_s - later_samples * self._period_s, earliest_s), max(now_s, earliest_s))
                 if time_s is None:
                     self.skipped += 1

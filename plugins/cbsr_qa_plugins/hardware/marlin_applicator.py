@@ -273,14 +273,10 @@ class MarlinApplicator(HeadDriver):
         clear_mm = self._surface_mm() - CLEARANCE_MM
         if self._depth_mm() > clear_mm:
             self._go_to_depth(clear_mm, self._speed_mm_s)
-        self._go_to_depth(self._travel_depth_mm(), self._motion.travel_speed_mm_s)
+        self._go_to_depth(self._up_mm, self._motion.travel_speed_mm_s)
 
     def _travel(self, x_mm: float, y_mm: float) -> None:
-        self._go(self._machine.position(x_mm, y_mm, self._travel_depth_mm()), self._motion.travel_speed_mm_s)
-
-    def _travel_depth_mm(self) -> float:
-        """Depth at which it travels: a head above a lowered hover height stays there."""
-        return min(self._up_mm, max(self._depth_mm(), -self._motion.hover_mm))
+        self._go(self._machine.position(x_mm, y_mm, self._up_mm), self._motion.travel_speed_mm_s)
 
     def _go_to_depth(self, depth_mm: float, speed_mm_s: float, *, watched: bool = False) -> None:
         x, y, _ = self._axes.final_position()

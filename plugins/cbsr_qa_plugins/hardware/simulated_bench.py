@@ -148,7 +148,8 @@ class SimulatedBench(HeadDriver):
     def find_surface(self, x_mm: float, y_mm: float) -> float:
         """Step down at a place until the contact force; returns the depth from the hover height [mm]."""
         self.move_to(x_mm, y_mm)
-        self._begin_act()
+        self._head.approach()
+        self._begin_act()  # whatever height it came from
         return self._head.find_surface(
             lambda window_s: float(self.samples_since(self._clock.now() - window_s).values.mean())
         )

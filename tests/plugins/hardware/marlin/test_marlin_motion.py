@@ -133,6 +133,7 @@ def test_the_surface_is_where_the_simulated_bench_finds_it(station, homed, one_w
         numbers = range(int(np.floor((clock.now() - window_s) * 8)) + 1, int(np.floor(clock.now() * 8)) + 1)
         return float(np.mean([other.force_N(n / 8, 1000 + n) for n in numbers]))
 
+    simulated.approach()
     expected = simulated.find_surface(mean_N)
     found = homed.find_surface(10.0, 5.0)
     true = MOTION.hover_mm + one_world.surface_mm(10.0, 5.0, 0.0)
