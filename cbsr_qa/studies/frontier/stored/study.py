@@ -260,14 +260,10 @@ def choose_way(by_way: TrialsByWay, design: Design, target: Target) -> Recommend
 
 def _list_gains(points: Sequence[Point]) -> list[Mapping[str, Knob]]:
     """Settings with the batch as prior that are shown to be more accurate than the same without."""
-    with_batch = (point for point in points if point.knobs["prior"] == "batch")
-    changes: dict[tuple[Knob, ...], float] = {
-        (change.places, change.hold_s, change.transients): change.high_N for change in compare_pairs(points)
-    }
     return [
-        point.knobs
-        for point in with_batch
-        if changes.get(tuple(point.knobs[name] for name in ("places", "hold_s", "transients")), 0.0) < 0
+        {"places": change.places, "hold_s": change.hold_s, "transients": change.transients, "prior": "batch"}
+        for change in compare_pairs(points)
+        if change.high_N < 0
     ]
 
 
