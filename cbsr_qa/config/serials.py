@@ -3,11 +3,13 @@
 import re
 import unicodedata
 from collections.abc import Sequence
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.system.words import echo
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.sensor.sensor_type import SensorPart
 
 LONGEST = 64
 
@@ -37,7 +39,7 @@ def validate_batch(text: str) -> str:
     return _identifier("batch", text) if text else ""
 
 
-def read_parts(texts: Sequence[str]) -> tuple[SensorPart, ...]:
+def read_parts(texts: Sequence[str]) -> "tuple[SensorPart, ...]":
     """Return parts of a sensor, typed or scanned as ``NAME=IDENTIFIER/REVISION``, sorted by name.
 
     The revision, after the last ``/``, may be left out.
@@ -47,6 +49,8 @@ def read_parts(texts: Sequence[str]) -> tuple[SensorPart, ...]:
     ConfigError
         If one has no ``=``, a name or an identifier that cannot be used, or if a name is given twice.
     """
+    from cbsr_qa.domain.sensor.sensor_type import SensorPart  # loads numpy, which no check of a typed name needs
+
     part_by_name: dict[str, SensorPart] = {}
     for text in texts:
         name, equals, content = text.partition("=")
