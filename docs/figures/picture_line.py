@@ -16,13 +16,9 @@ from playwright.sync_api import Page, expect, sync_playwright
 
 PICTURES = Path(__file__).parents[1] / "how-to" / "pictures"
 RUN_MS = 300_000
-#: The head presses one of the later places, and the sheet has answered.
-PRESSING = """() => new Promise((seen) => {
-    const presses = () => document.querySelector("circle.head") &&
-        /^Place [4-8] of/.test(document.querySelector(".progress").textContent);
-    const look = () => presses() ? setTimeout(seen, 400) : requestAnimationFrame(look);
-    look();
-})"""
+#: One of the later places, and time for the sheet to answer.
+LATER_PLACE = re.compile(r"Place [4-8] of")
+ANSWER_MS = 800
 #: Shipped recipe, and its limit of the overlap as in the recipe of the picture of a failed sensor.
 RECIPE = Path(__file__).parents[2] / "stations" / "recipes" / "nine-locations.toml"
 STRICT = (('name = "nine-locations"', 'name = "strict"'), ("lower = 50.0 ", "lower = 75.0 "))
@@ -57,7 +53,8 @@ def pictures(address: str) -> None:
         write(page, "line-verdict")
         page.goto(f"{base}/stations/line-1")
         start(page, "S-0413", "nine-locations")
-        page.evaluate(PRESSING)
+        expect(page.locator(".progress")).to_have_text(LATER_PLACE)
+        page.wait_for_timeout(ANSWER_MS)
         write(page, "line-running")
         page.goto(base)
         expect(page.locator(".card").first).to_be_visible()
