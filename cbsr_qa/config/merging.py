@@ -11,7 +11,7 @@ from typing import Any, Self
 from cbsr_qa.config.documents import DocumentKind
 from cbsr_qa.config.loader import Loaded, load_material, load_recipe, load_scene, load_sensor_type, load_station
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.filling import fill_from_mapping
+from cbsr_qa.domain.filling import fill_from_mapping, find_odd_value
 from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
@@ -185,6 +185,8 @@ def read_batch_model(content: Mapping[str, Any], where: str) -> KeptBatch:
         kept = fill_from_mapping(KeptBatch, content)
     except (ValueError, TypeError, KeyError, AttributeError) as error:
         raise ConfigError(f"{where} is not a batch's model", remedy=write_again) from error
+    if odd := find_odd_value(KeptBatch, kept):
+        raise ConfigError(f"{where} is not a batch's model: {odd}", remedy=write_again)
     if digest_batch_model(content) != kept.content_sha256:
         raise ConfigError(f"{where} was changed: its content is not that of its SHA-256", remedy=write_again)
     return kept

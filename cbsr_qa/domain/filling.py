@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from dataclasses import fields, is_dataclass
 from enum import StrEnum
 from functools import cache
+from math import isfinite
 from types import NoneType, UnionType
 from typing import Any, TypeVar, Union, get_args, get_origin, get_type_hints
 
@@ -51,6 +52,28 @@ def convert_json(hint: Any, value: Any) -> Any:
         table = next((candidate for candidate in tables if value.keys() <= _read_hints(candidate).keys()), tables[0])
         return table(**{name: convert_json(_read_hints(table)[name], item) for name, item in value.items()})
     return hint(value) if isinstance(hint, type) and issubclass(hint, StrEnum) else value
+
+
+def find_odd_value(hint: Any, value: Any, key: str = "") -> str:
+    """Say which value of a filled dataclass is not of its type, or not finite: key and value; empty if all are.
+
+    Only for fields that are numbers, texts, dataclasses, tuples, or one of these or None.
+    """
+    kinds = get_args(hint) or (hint,)
+    if get_origin(hint) is tuple:
+        every = kinds[:1] * len(value) if kinds[-1] is ... else kinds
+        numbered = enumerate(zip(every, value, strict=True))
+        parts = [(kind, item, f"{key}[{number}]") for number, (kind, item) in numbered]
+    elif get_origin(hint) in (Union, UnionType):
+        parts = [] if value is None else [(kinds[0], value, key)]
+    elif isinstance(hint, type) and is_dataclass(hint):
+        dot = f"{key}." if key else ""
+        parts = [(kind, getattr(value, name), f"{dot}{name}") for name, kind in _read_hints(hint).items()]
+    else:
+        allowed = (int, float) if hint is float else hint
+        fits = isinstance(value, allowed) and isinstance(value, bool) is (hint is bool)
+        return "" if fits and (hint is not float or isfinite(value)) else f"{key} is {str(value)[:60]!r}"
+    return next(filter(None, (find_odd_value(*part) for part in parts)), "")
 
 
 @cache

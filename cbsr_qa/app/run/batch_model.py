@@ -22,7 +22,7 @@ def add_prior(configuration: Configuration, batch: str, file: Path | None, datab
     Parameters
     ----------
     batch : batch of the sensor; may be empty if a file is given.
-    file : the model's file; None for the one in the folder of batches that rests on the latest run.
+    file : the model's file; None for the one in the folder of batches that was learned last.
     database : where the runs are stored that came after the model's.
 
     Raises
@@ -46,15 +46,15 @@ def add_prior(configuration: Configuration, batch: str, file: Path | None, datab
 
 
 def _find_model(configuration: Configuration, batch: str) -> KeptBatch:
-    """Return the newest model of a batch that fits the run."""
+    """Return the model of a batch that was learned last and fits the run, whatever was left out of it."""
     if not batch:
         raise RefusedError(
             f"recipe {configuration.recipe.name!r} takes the batch as prior, and the sensor's batch is not named",
             remedy="give --batch, or --batch-model FILE",
         )
     folder = batches_folder()
-    models = [read_model_file(path) for path in sorted(folder.glob("*.json"))] if folder.is_dir() else []
-    of_batch = [model for model in models if model.batch == batch]
+    paths = sorted(folder.glob("*.json"), key=lambda path: path.stat().st_mtime_ns) if folder.is_dir() else []
+    of_batch = [model for model in map(read_model_file, paths) if model.batch == batch]
     fitting = [model for model in of_batch if not _explain_misfit(model, configuration, batch)]
     if not fitting:
         why = f": one {_explain_misfit(of_batch[-1], configuration, batch)}" if of_batch else ""
@@ -62,7 +62,7 @@ def _find_model(configuration: Configuration, batch: str) -> KeptBatch:
             f"no model of batch {batch!r} in {folder} fits this run{why}",
             remedy=f"learn one from at least five sensors that passed: cbsr-qa batch model --batch {batch}",
         )
-    return max(fitting, key=lambda model: (_last_run(model), len(model.sensors), model.content_sha256))
+    return fitting[-1]
 
 
 def _explain_misfit(model: KeptBatch, configuration: Configuration, batch: str) -> str:

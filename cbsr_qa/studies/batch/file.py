@@ -32,6 +32,7 @@ def write_model(study: BatchStudy, path: Path | None) -> Path:
         path = batch_file(kept.batch, kept.content_sha256)
         writable_folder(path.parent)
         if path.exists():
+            path.touch()  # runs take the model that was learned last
             return path
     with writing(path), write_atomically(path) as file:
         file.write(json.dumps(asdict(kept), indent=1, ensure_ascii=False).encode())

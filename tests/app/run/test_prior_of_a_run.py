@@ -1,6 +1,7 @@
 """The batch's model that a run takes as prior: found, refused, and stored with the run."""
 
 import json
+import os
 from dataclasses import asdict, replace
 
 import pytest
@@ -47,12 +48,12 @@ def test_a_run_holds_the_model_that_it_used(batches, configuration):
     assert restore(with_prior.canonical).recipe.analysis.batch == keep_sample()
 
 
-def test_the_model_of_the_latest_run_counts(batches, configuration):
-    batches(keep_sample())
-    later = keep_sample(sensors=tuple(replace(sensor, run="f" + sensor.run[1:]) for sensor in keep_sample().sensors))
-    batches(later)
-    batches(keep_sample(batch="42"))
-    assert add_prior(configuration, "41", None, DATABASE).recipe.analysis.batch == later
+def test_the_model_that_was_learned_last_counts_whatever_it_leaves_out(batches, configuration):
+    whole, fewer = keep_sample(), keep_sample(sensors=keep_sample().sensors[:-1])
+    for first, last in [(whole, fewer), (fewer, whole)]:
+        for number, kept in enumerate((first, last, keep_sample(batch="42"))):
+            os.utime(batches(kept), (number, number))
+        assert add_prior(configuration, "41", None, DATABASE).recipe.analysis.batch == last
 
 
 @pytest.mark.parametrize(
@@ -83,6 +84,49 @@ def test_a_named_file_of_another_batch_is_refused(batches, configuration):
     path = batches(keep_sample())
     with pytest.raises(RefusedError, match="is of batch 41, and the run of 42"):
         add_prior(configuration, "42", path, DATABASE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        (
+            {"time_constants_s": (0.0, 21.9)},
+            r"relaxation\.stress\.time_constants_s is \(0\.0, 21\.9\); it must",
+        ),
+        ({"scatter": (4e-4,)}, r"relaxation\.stress is of 2 weights; it must be of as many time constants"),
+        ({"loads": 0}, r"relaxation\.stress\.loads is 0"),
+        ({"scatter_freedom": -1.0}, r"relaxation\.stress\.scatter_freedom is -1"),
+    ],
+)
+def test_impossible_relaxation_is_refused_before_anything_moves(batches, configuration, changes, words):
+    relaxation = keep_sample().relaxation
+    batches(keep_sample(relaxation=replace(relaxation, stress=replace(relaxation.stress, **changes))))
+    with pytest.raises(RefusedError, match=words):
+        add_prior(configuration, "41", None, DATABASE)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("length_mm", 0.0), ("own", -0.1), ("level", 1e300), ("weight", 2.0), ("scatter", -1e-300)]
+)
+def test_impossible_hyperparameters_are_refused_before_anything_moves(batches, configuration, name, value):
+    first, *others = keep_sample().members
+    batches(keep_sample(members=(replace(first, **{name: value}), *others)))
+    with pytest.raises(RefusedError, match=r"cannot be used: members"):
+        add_prior(configuration, "41", None, DATABASE)
+
+
+@pytest.mark.parametrize(
+    ("changes", "words"),
+    [
+        ({"head_mm": "13"}, "head_mm is '13'"),
+        ({"radius_mm": True}, "radius_mm is 'True'"),
+        ({"level_drift": None}, "level_drift is 'None'"),
+    ],
+)
+def test_a_value_of_another_type_is_named(batches, changes, words):
+    path = batches(keep_sample(**changes))
+    with pytest.raises(ConfigError, match=words):
+        read_model_file(path)
 
 
 @pytest.mark.parametrize(
