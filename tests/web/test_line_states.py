@@ -177,11 +177,13 @@ def test_a_process_whose_run_has_ended_is_not_starting(store):
 
 def test_every_failed_limit_is_shown_with_its_code_and_what_to_do_if_it_has_them(store, tmp_path):
     run = store_run(store, "S-1", (Measurement("drift", 0.1, "%/min"),), verdict=Verdict(Outcome.FAIL, "it drifts"))
-    coded = FailedLimit("drift is 2 %/min", FailureCode("F12", "it drifts", "Scrap it"))
-    failed = (coded, *(FailedLimit(f"overlap (L{place}) is low") for place in range(6)))
+    code = FailureCode("F12", "it drifts", "scrap it")
+    coded = (FailedLimit("drift is 2 %/min", code), FailedLimit("drift (L2) is 1 %/min", code))
+    failed = (*coded, *(FailedLimit(f"overlap (L{place}) is low") for place in range(6)))
     snapshot = replace(_snapshot(store.live.find_run(run), Mode.DONE), failed=failed)
     shown = Pages(Line((), str(tmp_path / "runs.db"))).fragment("verdict", s=snapshot, base="", asks_operator=False)
-    assert "Failed limits: 7" in shown
-    assert shown.count("<b>F12</b>") == shown.count("<strong>Scrap it</strong>") == 1
+    assert "Failed limits: 8" in shown
+    assert shown.count("<b>F12</b> it drifts") == shown.count('<p class="todo">Scrap it.') == 1
+    assert "Drift (L2) is 1 %/min" in shown
     assert [shown.count(f"Overlap (L{place}) is low") for place in range(6)] == [1] * 6
-    assert "and 3 more" in shown
+    assert "and 4 more" in shown
