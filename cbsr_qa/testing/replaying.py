@@ -4,7 +4,8 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
-from cbsr_qa.plugin.links.taps import Replay, use_tap
+from cbsr_qa.plugin.links.replay import Replay
+from cbsr_qa.plugin.links.taps import use_tap
 from cbsr_qa.plugin.links.transcript import Transcript
 from cbsr_qa.system.clock import Clock
 

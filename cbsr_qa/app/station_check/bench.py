@@ -19,7 +19,8 @@ from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.instruments import Instrument, Linked, Sampler, SelfTesting
-from cbsr_qa.plugin.links.taps import Listener, Tap, use_tap
+from cbsr_qa.plugin.links.recorder import Listener
+from cbsr_qa.plugin.links.taps import Tap, use_tap
 from cbsr_qa.report.tables import number, unit_shown
 from cbsr_qa.station.bench import (
     FORCE_APPLICATOR,

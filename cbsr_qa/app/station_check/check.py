@@ -24,7 +24,8 @@ from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.plugin.discovery import Plugins, discover
-from cbsr_qa.plugin.links.taps import Recorder, Replay
+from cbsr_qa.plugin.links.recorder import Recorder
+from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.transcript import Transcript
 from cbsr_qa.plugin.software import software_versions
 from cbsr_qa.report.render import render_sections, report_name, write_report

@@ -8,8 +8,10 @@ from pyvisa.errors import VisaIOError
 
 from cbsr_qa.domain.errors import InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import InstrumentSpec
+from cbsr_qa.plugin.links.recorder import Recorder
+from cbsr_qa.plugin.links.replay import Replay, ReplayedLink
 from cbsr_qa.plugin.links.serial_link import SerialLink
-from cbsr_qa.plugin.links.taps import Recorder, Replay, ReplayedLink, is_replaying, use_tap
+from cbsr_qa.plugin.links.taps import is_replaying, use_tap
 from cbsr_qa.plugin.links.transcript import Event, Transcript, escape, unescape
 from cbsr_qa.station.setup import configure
 from cbsr_qa.system.clock import VirtualClock

@@ -7,7 +7,8 @@ import pytest
 from scanning_rig import TabledWorld
 
 from cbsr_qa.domain.plan.plan import InstrumentSpec, Motion
-from cbsr_qa.plugin.links.taps import Recorder, Replay
+from cbsr_qa.plugin.links.recorder import Recorder
+from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.transcript import Transcript
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 from cbsr_qa.simulate.instruments.source_meter import EmulatedSourceMeter

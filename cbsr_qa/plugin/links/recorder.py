@@ -1,0 +1,144 @@
+"""Listens to the links of a process: remembers the last exchange with each instrument, or writes a transcript."""
+
+import hashlib
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any, Final
+
+from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.plan.plan import Station
+from cbsr_qa.plugin.links.taps import SHOWN, hide, is_timeout, list_secrets
+from cbsr_qa.plugin.links.transcript import Event, end_line, escape, head_lines
+from cbsr_qa.system.clock import Clock
+from cbsr_qa.system.files import writing
+
+#: Bytes of an answer that are remembered.
+_REMEMBERED: Final = 4096
+
+
+class Listener:
+    """Remembers the last question to each instrument and what came of it."""
+
+    replays = False
+
+    def __init__(self, station: Station) -> None:
+        self._hidden = list_secrets(station)
+        self._sent: dict[str, bytes] = {}
+        self._received: dict[str, bytes] = {}
+
+    def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
+        return _HeardLink(open_real(), role, self)
+
+    def note(self, role: str, sign: str, data: bytes) -> None:
+        """Take note of an event; without bytes there is none."""
+        if sign == ">":
+            self._sent[role], self._received[role] = hide(data, self._hidden), b""
+        elif sign == "<":
+            self._received[role] = (self._received.get(role, b"") + hide(data, self._hidden))[-_REMEMBERED:]
+
+    def describe_last(self, role: str) -> str:
+        """Say what was sent last and what came then; empty if nothing was sent."""
+        if role not in self._sent:
+            return ""
+        received = escape(self._received[role])[-SHOWN:]
+        return f"sent {escape(self._sent[role])[:SHOWN]!r}, received {repr(received) if received else 'nothing'}"
+
+
+class Recorder(Listener):
+    """Also writes all that passes through the links to a transcript; end it with :meth:`close`.
+
+    Raises
+    ------
+    RefusedError
+        If the file exists, or cannot be written.
+    """
+
+    def __init__(self, path: Path, station: Station, clock: Clock) -> None:
+        super().__init__(station)
+        self._clock = clock
+        self._writing = threading.Lock()
+        self._digest = hashlib.sha256()
+        self._events = 0
+        with writing(path):
+            try:
+                self._file = path.open("x", encoding="ascii", newline="\n")
+            except FileExistsError:
+                raise RefusedError(f"{path} exists already", remedy="name another file") from None
+        for line in head_lines(station.name, {spec.role: spec.driver for spec in station.instruments}):
+            self._write_line(line)
+
+    def note(self, role: str, sign: str, data: bytes) -> None:
+        """Write an event too."""
+        if not data:
+            return
+        with self._writing:
+            super().note(role, sign, data)
+            self._write_line(Event(self._clock.now(), role, sign, hide(data, self._hidden)).format())
+            self._events += 1
+
+    def close(self) -> None:
+        """Write the last line."""
+        with self._writing:
+            self._write_line(end_line(self._events, self._digest.hexdigest()))
+            self._file.close()
+
+    def _write_line(self, line: str) -> None:
+        self._digest.update(f"{line}\n".encode("ascii"))
+        self._file.write(f"{line}\n")
+
+
+class _HeardLink:
+    """A serial port or VISA resource whose bytes a listener takes note of."""
+
+    def __init__(self, link: Any, role: str, listener: Listener) -> None:
+        self.__dict__.update(_link=link, _role=role, _listener=listener)
+
+    def __getattr__(self, name: str) -> Any:
+        return getattr(self._link, name)
+
+    def __setattr__(self, name: str, value: Any) -> None:
+        setattr(self._link, name, value)
+
+    def write(self, data: bytes) -> int | None:
+        with self._noting_failures():
+            sent: int | None = self._link.write(data)
+        self._listener.note(self._role, ">", data[:sent])
+        return sent
+
+    def write_raw(self, data: bytes) -> Any:
+        with self._noting_failures():
+            sent = self._link.write_raw(data)
+        self._listener.note(self._role, ">", data)
+        return sent
+
+    def read(self, size: int) -> bytes:
+        return self._note_received(lambda: self._link.read(size))
+
+    def read_raw(self) -> bytes:
+        return self._note_received(self._link.read_raw)
+
+    def read_bytes(self, count: int) -> bytes:
+        return self._note_received(lambda: self._link.read_bytes(count))
+
+    def reset_input_buffer(self) -> None:
+        with self._noting_failures():
+            dropped = bytes(self._link.read(self._link.in_waiting)) if self._link.in_waiting else b""
+            self._link.reset_input_buffer()
+        self._listener.note(self._role, "-", dropped)
+
+    def _note_received(self, receive: Callable[[], bytes]) -> bytes:
+        with self._noting_failures():
+            data = bytes(receive())
+        self._listener.note(self._role, "<", data)
+        return data
+
+    @contextmanager
+    def _noting_failures(self) -> Iterator[None]:
+        try:
+            yield
+        except Exception as error:
+            if not is_timeout(error):
+                self._listener.note(self._role, "!", f"{type(error).__name__}: {error}".encode("ascii", "replace"))
+            raise
