@@ -54,6 +54,7 @@ def test_every_variable_is_named_on_the_page(folder):
         name for name in ("drive", "measure") if f"`{name}`" in page
     }
     beside = scipy.io.loadmat(folder / "frames.mat", simplify_cells=True)["cbsr"]
-    of_run = {"title", "source", "run", "batch", "sensor_type", "material", "recipe", "operator", "started_at", "end"}
+    of_run = {"title", "source", "run", "batch", "sensor_type", "material", "recipe", "operator", "started_at", "end",
+              "parts", "failure_codes"}  # fmt: skip
     unnamed = {name for name in beside if f"`cbsr.{name}`" not in page and f"(`cbsr.{name}`" not in page}
     assert unnamed - {"unit"} == of_run | {"verdict", "software", "head"}

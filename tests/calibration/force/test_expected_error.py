@@ -7,7 +7,7 @@ from scipy.stats import chi2
 from cbsr_qa.calibration.force.expected_error import (
     LoadErrors,
     LoadsThatMatter,
-    _mixture_quantile,
+    _find_quantile,
     expect_after_presses,
     expect_force_error,
 )
@@ -55,7 +55,7 @@ def test_every_radius_up_to_the_largest_matters_alike():
 
 def test_the_quantile_of_one_member_is_that_of_its_chi_square():
     # A mean of five squared standard normals: mean 1, variance 2/5.
-    quantile = _mixture_quantile(np.ones(1), np.ones(1), np.array([0.4]), 0.9)
+    quantile = _find_quantile(np.ones(1), np.ones(1), np.array([0.4]), 0.9)
     assert quantile == pytest.approx(chi2(5).ppf(0.9) / 5, rel=1e-9)
 
 

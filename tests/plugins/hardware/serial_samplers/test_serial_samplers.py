@@ -102,8 +102,9 @@ def test_a_resumed_session_draws_noise_of_its_own(station, cell):
         resumed = again.open("cell", open_load_cell)
         again.clock.sleep(5.0)
         after = resumed.samples_since(-1.0).values
-    assert len(before) == len(after)
-    assert (before != after).all()
+    shared = min(len(before), len(after))  # the lines of the resumed session begin elsewhere in their rhythm
+    assert shared >= 40
+    assert (before[:shared] != after[:shared]).all()
 
 
 # --- tare, limit, dead weight ---
