@@ -67,7 +67,7 @@ def describe_abilities(calibration: Calibration) -> Iterator[str]:
     if calibration.place is not None:
         yield "Places are learned from the run's own presses."
     if calibration.validity.temperature_C is None:
-        yield "Temperature was not measured: errors by a change of it are not included."
+        yield "Temperature was not measured; errors from temperature changes are not included."
 
 
 def _describe_force(calibration: Calibration) -> Iterator[str]:
@@ -93,7 +93,7 @@ def _describe_force(calibration: Calibration) -> Iterator[str]:
         worst_N = _NORMAL_95 * ability.stderr_N(high_N).max()
         yield (
             f"Reads {reads} N of {where}: {errors} (95 %, root mean square over these places; at most"
-            f" ± {worst_N:.2g} N), the place known. These errors"
+            f" ± {worst_N:.2g} N), for one settled load at a known place. These errors"
             f" include {describe_force_error(calibration.standards)}."
         )
     yield f"{least}, ({x_mm:.3g}, {y_mm:.3g}) mm.".replace("-", "−")

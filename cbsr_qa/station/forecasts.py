@@ -10,7 +10,7 @@ from typing import Final
 import numpy as np
 from scipy.special import gammaincinv
 
-from cbsr_qa.calibration.force.expected_error import LoadErrors, bound_unpressed_error
+from cbsr_qa.calibration.force.expected_error import LoadErrors, predict_error_bound
 from cbsr_qa.calibration.force.interpolation import interpolate
 from cbsr_qa.calibration.force.templates import make_even_model, template_bank
 from cbsr_qa.calibration.sheet.usual_sheet import USUAL_SCATTER, choose_presses, order_presses
@@ -140,7 +140,7 @@ def _expect_by_batch(
     )
     usual_scatter = float(np.sqrt(weights @ scatter))
     errors_N = [
-        bound_unpressed_error(after, weights, usual_scatter, single, goal.confidence)
+        predict_error_bound(after, weights, usual_scatter, single, goal.confidence)
         for _, after in islice(presses, goal.at_most)
     ]
     return np.array(errors_N), usual_scatter

@@ -1,6 +1,5 @@
 """Runs of a fleet with the values of their latest analyses, in a fixed number of queries."""
 
-import re
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Any, Final
@@ -29,7 +28,7 @@ from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.left_out import with_left_out
-from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts
+from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts, reset_seed
 from cbsr_qa.store.selected import Conditions, conditions, naming_runs
 from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, MeasurementRow
 from cbsr_qa.store.tables.runs import DecisionRow, LoadRow, RunRow
@@ -46,7 +45,6 @@ _STATES: Final = {
     for bound in Bound
 }
 _EVERY: Final = RunSelection()
-_SEED: Final = re.compile(r'"seed": ?\d+')
 
 
 class Fleet:
@@ -119,7 +117,7 @@ class Fleet:
                 calibrations = {row[0]: row[1] for row in connection.execute(issued)}
                 configurations = select(RunRow.run, RunRow.configuration).where(RunRow.run.in_(some))
                 for run, configuration in connection.execute(configurations):
-                    content = _SEED.sub("", configuration)
+                    content = reset_seed(configuration)
                     if content not in of_content:
                         of_content[content] = _read_way(run, configuration)
                     way = of_content[content]
@@ -129,7 +127,7 @@ class Fleet:
 
 
 def _read_way(run: str, configuration: str) -> CalibrationWay:
-    """How a run calibrates, by its configuration; StoreError if that is none."""
+    """Return how a run calibrates, from its configuration; StoreError if that cannot be read."""
     try:
         content = parse_json(configuration)
         recipe = content["recipe"]

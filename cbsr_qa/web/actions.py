@@ -80,7 +80,9 @@ class Actions:
         # A run that was cut off stays on the page, with its warning, until it is resumed or another run begins.
         if watch.snapshot is not None and watch.snapshot.mode in (Mode.INTERRUPTED, Mode.UNSAFE):
             return _json_answer(parts=[gate])
-        return _json_answer(parts=[gate, ["state", self._pages.scanned(station, start_form, view)], ["verdict", ""]])
+        return _json_answer(
+            parts=[gate, ["state", self._pages.render_scan(station, start_form, view)], ["verdict", ""]]
+        )
 
     async def leave(self, station: str, form: dict[str, str]) -> Response:
         """Show the station as before a scan: the sensor is not tested now."""

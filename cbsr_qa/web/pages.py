@@ -103,7 +103,7 @@ def phase_words(snapshot: Snapshot) -> str:
     return text("live.phase", phase=phase.name, number=phase.index + 1, of=live.planned_phases)
 
 
-def drawn_places(view: LiveView) -> list[Place]:
+def list_places(view: LiveView) -> list[Place]:
     """Return one press of each place of the grid: the one under way, else the latest that was seen."""
     place_by_label: dict[str, Place] = {}
     for place in view.places:
@@ -196,7 +196,7 @@ def _environment() -> Environment:
         "minutes_left": minutes_left,
         "step_words": step_words,
         "progress_words": progress_words,
-        "drawn_places": drawn_places,
+        "list_places": list_places,
         "phase_words": phase_words,
         "band_kind": band_kind,
         "band_words": band_words,
@@ -261,7 +261,7 @@ class Pages:
         """Render the answers of the gate on a sensor before its run."""
         return self.fragment("gate", base=_base(station), request=wanted, view=view)
 
-    def scanned(self, station: str, wanted: StartForm, view: GateView) -> str:
+    def render_scan(self, station: str, wanted: StartForm, view: GateView) -> str:
         """Render the state of a station at which a sensor was scanned."""
         kind = "refused" if not view.may else "again" if view.asks_again else "may"
         return self.fragment("scanned", name=station, serial=wanted.serial, kind=kind)

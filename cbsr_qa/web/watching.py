@@ -217,7 +217,7 @@ def _list_failed(store: Repository, look: RunLook) -> Iterator[FailedLimit]:
     if look.outcome in _SHOWN_OUTCOMES:
         measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
         for measurement in rank_judged(measurements, look.outcome):
-            codes = select_failure_codes(look.coded, look.outcome, str(look.end), [measurement.limited])
+            codes = select_failure_codes(look.coded, look.outcome, str(look.end), [measurement.limit_key])
             yield FailedLimit(describe_judgement(measurement), codes[0] if codes else None)
 
 

@@ -95,7 +95,7 @@ def look_at_bench(
     with use_tap(used_tap):
         opened, callbacks = opener(look.configuration, plugins, clock, ask=ask)
         try:
-            for spec in sorted(look.configuration.station.instruments, key=_moves):
+            for spec in sorted(look.configuration.station.instruments, key=_rank_movement):
                 look.open(spec, opened, today)
             look.check_standards(today)
             connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
@@ -107,7 +107,7 @@ def look_at_bench(
     return look.found
 
 
-def _moves(spec: InstrumentSpec) -> int:
+def _rank_movement(spec: InstrumentSpec) -> int:
     """Order in which instruments are asked: what only reads first, then what drives a current, what moves last."""
     if FORCE_APPLICATOR in spec.provides:
         return 2

@@ -124,7 +124,7 @@ def expect_after_presses(
     return np.array([_total_N(square, response.scatter, errors) for square in squares.tolist()])
 
 
-def bound_unpressed_error(
+def predict_error_bound(
     covariances: Array, weights: Array, scatter: float, errors: LoadErrors, confidence: float
 ) -> float:
     """Return the upper bound of the error of force [N] of a map that is not yet known.

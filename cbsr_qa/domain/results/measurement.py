@@ -93,7 +93,7 @@ class Measurement:
         return Dimensions.from_qualifier(self.qualifier)
 
     @property
-    def limited(self) -> tuple[str, str, str]:
+    def limit_key(self) -> tuple[str, str, str]:
         """Name, phase and qualifier: what limits and failure codes name it by."""
         return self.name, self.phase, self.qualifier
 

@@ -56,9 +56,9 @@ class RunResult:
         """Codes of what the run failed, the worst first, whether the verdict was overridden or not."""
         outcome, end = None if self.missing else self.verdict.outcome, str(self.record.end)
         failed = sorted((m for m in self.measurements if m.outcome is Outcome.FAIL), key=relative_margin)
-        return select_failure_codes(self.coded, outcome, end, [m.limited for m in failed])
+        return select_failure_codes(self.coded, outcome, end, [m.limit_key for m in failed])
 
     def codes_of(self, measurement: Measurement) -> tuple[FailureCode, ...]:
         """Return the code of a failed measurement, as a tuple of one; empty for others and where it has none."""
         failed = measurement.outcome if measurement.outcome is Outcome.FAIL else None
-        return select_failure_codes(self.coded, failed, "", [measurement.limited])
+        return select_failure_codes(self.coded, failed, "", [measurement.limit_key])

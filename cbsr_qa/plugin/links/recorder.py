@@ -32,7 +32,7 @@ class Listener:
         return _HeardLink(open_real(), role, self)
 
     def note(self, role: str, sign: str, data: bytes) -> None:
-        """Take note of an event; without bytes there is none."""
+        """Note an event: ``>`` and bytes sent, ``<`` and bytes received; others are ignored."""
         if sign == ">":
             self._sent[role], self._received[role] = hide(data, self._hidden), b""
         elif sign == "<":
@@ -70,7 +70,7 @@ class Recorder(Listener):
             self._write_line(line)
 
     def note(self, role: str, sign: str, data: bytes) -> None:
-        """Write an event too."""
+        """Note and write an event; an empty one is ignored."""
         if not data:
             return
         with self._writing:

@@ -1,7 +1,4 @@
-"""What listens to the links of a process, or answers in place of the instruments.
-
-There is none unless a command puts one there for the time of its work.
-"""
+"""What listens to the links of a process, or answers in place of the instruments, while a command works."""
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager

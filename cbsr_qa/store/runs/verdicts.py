@@ -35,7 +35,7 @@ _STATE: Final = ("end", "detail", "time_s")
 _RESULT: Final = ("analysis", "analysed_at", "outcome", "reason", "software")
 _DECISION: Final = ("outcome", "operator", "why")
 _ENDS: Final = {str(end): end for end in EndReason}
-_SEED: Final = re.compile(r'"seed":\d+')
+_SEED: Final = re.compile(r'"seed": ?\d+')
 #: Outcomes of analyses that no failure code is for.
 _UNCODED: Final = frozenset(map(str, (Outcome.PASS, Outcome.MARGINAL, Outcome.NOT_JUDGED)))
 _OUTCOMES: Final = {str(outcome): outcome for outcome in Outcome}
@@ -167,7 +167,12 @@ def _read_failure_codes(configuration: str) -> tuple[FailureCode, ...]:
     """Return the codes of a stored recipe. Raise as reading a foreign cell where an unchained run holds others."""
     if '"failure_codes"' not in configuration:
         return ()
-    return _parse_failure_codes(_SEED.sub('"seed":0', configuration))
+    return _parse_failure_codes(reset_seed(configuration))
+
+
+def reset_seed(configuration: str) -> str:
+    """Return a configuration with its seed zero, so that runs of one recipe share it and it is parsed once."""
+    return _SEED.sub('"seed":0', configuration)
 
 
 @lru_cache(maxsize=32)  # thousands of runs differ in their seed only, and parsing takes longer than all else of a run

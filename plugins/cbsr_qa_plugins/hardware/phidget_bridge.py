@@ -16,6 +16,7 @@ from pydantic import Field
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import ConfigError, InstrumentError, StationContext, WholeNumber, driver
 from cbsr_qa.plugin.links.locks import AddressLock
+from cbsr_qa.plugin.links.taps import is_replaying
 from cbsr_qa_plugins.hardware._driver import DriverBase, Factor, close_on_error
 from cbsr_qa_plugins.hardware._force_cell import CellOptions, ForceCell
 from cbsr_qa_plugins.hardware._line_sampler import SampleLog
@@ -87,6 +88,8 @@ class PhidgetSource(DriverBase):
         self._attached = False
         self._complaint = ""  # the last thing the library complained of
         self._began_s = self._clock.now()
+        if is_replaying():
+            raise self._error("a transcript does not keep what the bridge's library says", "check it on the bench")
         self._input = _bridge_input(self._role)
         self._lock = AddressLock(self._role, self._address)
         with close_on_error(self):

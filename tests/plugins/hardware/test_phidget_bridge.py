@@ -10,6 +10,9 @@ import pytest
 from simulated_setting import context
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, SafetyError
+from cbsr_qa.plugin.links.replay import Replay
+from cbsr_qa.plugin.links.taps import use_tap
+from cbsr_qa.plugin.links.transcript import Transcript
 from cbsr_qa.system.clock import RealClock, VirtualClock
 from cbsr_qa.testing.instruments import check_closing, check_sampler
 from cbsr_qa_plugins.hardware import phidget_bridge
@@ -224,6 +227,17 @@ def test_samples_come_from_another_thread_while_one_reads(make):
 
 
 # --- what may be missing ---
+
+
+def test_a_bridge_is_not_opened_where_a_transcript_answers(make, clock, monkeypatch):
+    """Its library is no link: the real bridge would answer beside the recorded instruments."""
+    monkeypatch.setattr(Bridge, "made", None)
+    with (
+        use_tap(Replay(Transcript("bench", {}, ()), None, clock)),
+        pytest.raises(InstrumentError, match="transcript"),
+    ):
+        make()
+    assert Bridge.made is None
 
 
 def test_no_bridge_is_said(make, monkeypatch):

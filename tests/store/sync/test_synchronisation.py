@@ -157,7 +157,7 @@ def test_an_altered_run_is_quarantined_and_the_queue_goes_on(station, centre):
             ("DELETE FROM run_links WHERE number = 6", "link 6 in run_links is missing"),
             ("UPDATE phase_ends SET ended_s = 7 WHERE phase = 0", "phase_ends (phase 0) was changed"),
             ("UPDATE runs SET setting = 'none'", "runs.setting"),
-            ("UPDATE runs SET chain = NULL", "run_links has 24 rows at the station and 0 at the centre"),
+            ("UPDATE runs SET chain = NULL", "run_links has 25 rows at the station and 0 at the centre"),
             ("INSERT INTO unloaded_marks VALUES ((SELECT run FROM runs), 0, 7, 1.0)", "unloaded_marks has 2 rows"),
         ],
     ),
