@@ -5,6 +5,7 @@ from datetime import date
 from enum import StrEnum
 from typing import Literal, TypeVar
 
+from cbsr_qa.config.serials import read_parts
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.interface.result import Result
@@ -22,6 +23,7 @@ def compare(
     groups: Sequence[str] = (),
     metric: str | Sequence[str] = (),
     recipe: str | None = None,
+    part: str | Sequence[str] = (),
     since: date | None = None,
     until: date | None = None,
     margin: Mapping[str, float] | None = None,
@@ -37,6 +39,7 @@ def compare(
     Parameters
     ----------
     groups : the reference first; empty for all.
+    part : runs of sensors with this part, as ``sheet=LOT7/B``; with all of several.
     margin, detect : metric → difference in its unit.
 
     Raises
@@ -55,7 +58,8 @@ def compare(
         margins=dict(margin or {}),
         detect=dict(detect or {}),
     )
-    selection = RunSelection(recipe=recipe, since=since, until=until)
+    parts = read_parts((part,) if isinstance(part, str) else part)
+    selection = RunSelection(recipe=recipe, since=since, until=until, parts=parts)
     comparison = compare_groups(selection, terms, database=database, now=RealClock().wall())
     return Result(compare_outcome(comparison))
 

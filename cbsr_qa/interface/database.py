@@ -8,6 +8,7 @@ from cbsr_qa.app.database import DatabaseStatus, database_status
 from cbsr_qa.app.export.formats import ExportTable
 from cbsr_qa.app.shift.lists import ListRequest, list_request
 from cbsr_qa.config.paths import database_url
+from cbsr_qa.config.serials import read_parts
 from cbsr_qa.interface.result import Result
 from cbsr_qa.interface.stored_run import Run
 from cbsr_qa.interface.tables import table_of
@@ -23,7 +24,7 @@ class Selection(TypedDict, total=False):
     """Which runs; as the options of ``cbsr-qa runs``. All given criteria must hold.
 
     ``since`` and ``until`` are days (UTC, both included); ``today`` is this computer's day; ``latest`` keeps so many
-    of the latest that remain; ``checks`` includes runs that checked a station.
+    of the latest that remain; ``checks`` includes runs that checked a station; ``part`` is ``sheet=LOT7/B``.
     """
 
     serial: str | Sequence[str]
@@ -31,6 +32,7 @@ class Selection(TypedDict, total=False):
     operator: str | Sequence[str]
     recipe: str
     batch: str
+    part: str | Sequence[str]
     since: date
     until: date
     today: bool
@@ -47,6 +49,10 @@ def _request(selection: Selection) -> ListRequest:
         if name in given:
             value = given[name]
             given[name] = (value,) if isinstance(value, str) else tuple(value)  # type: ignore[arg-type]
+    if "part" in selection:
+        part = selection["part"]
+        del given["part"]
+        given["parts"] = read_parts((part,) if isinstance(part, str) else part)
     return list_request(**given)  # type: ignore[arg-type]
 
 

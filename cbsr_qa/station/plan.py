@@ -9,7 +9,7 @@ from enum import StrEnum
 from itertools import chain, islice
 from typing import Final
 
-from cbsr_qa.domain.errors import PluginError, RefusedError
+from cbsr_qa.domain.errors import ConfigError, PluginError, RefusedError
 from cbsr_qa.domain.plan.plan import Motion, SafetyLimits
 from cbsr_qa.domain.plan.steps import (
     AcquireFrames,
@@ -149,12 +149,15 @@ class PlannedPhase:
     sequence: Sequence
 
     def steps(self, context: SequenceContext) -> Iterator[Step]:
-        """Yield the sequence's steps; PluginError if its code fails."""
+        """Yield the sequence's steps; ConfigError if its options give none, PluginError if its code fails."""
         with blame_plugin(f"sequence {self.sequence_name!r} of phase {self.name!r}"):
             process = os.getpid()
-            for step in self.sequence.steps(context):
-                end_copy(process)
-                yield step
+            try:
+                for step in self.sequence.steps(context):
+                    end_copy(process)
+                    yield step
+            except ConfigError as error:
+                raise ConfigError(f"phase {self.name!r}: {error.reason}", remedy=error.remedy) from error
 
 
 @dataclass(frozen=True, slots=True)

@@ -61,6 +61,16 @@ def test_tables_have_the_columns_of_exported_ones(stored):
         qa.open_database(database).runs(serial="S-2")
 
 
+@pytest.mark.parametrize("part", ["sheet=LOT7/B", ("sheet=LOT7", "board=B-9")])
+def test_runs_are_selected_by_the_parts_of_their_sensors(stored, part):
+    database, run = stored
+    assert list(qa.open_database(database).runs(part=part)["run"]) == [run]
+    with pytest.raises(qa.CbsrError, match="LOT7/C"):
+        qa.open_database(database).runs(part="sheet=LOT7/C")
+    with pytest.raises(qa.CbsrError, match="LOT8"):
+        qa.compare("batch", part="sheet=LOT8", database=database)
+
+
 def test_measurements_of_a_run_are_of_no_earlier_one(tmp_path):
     random, url = np.random.default_rng(5), f"sqlite:///{tmp_path / 'runs.db'}"
     with open_store(url, durable=False) as store:

@@ -24,6 +24,7 @@ from cbsr_qa.domain.plan.steps import (
 )
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
 from cbsr_qa.plugin.interfaces import AdaptiveSequence, PressGoal
+from cbsr_qa.station.plan import PlannedPhase
 from cbsr_qa.testing.bench import example_plan
 from cbsr_qa_plugins.sequences.adaptive import AdaptiveGridSequence
 from cbsr_qa_plugins.sequences.centre import (
@@ -318,6 +319,13 @@ def test_places_in_a_line_span_no_plane(places):
     if len(places) == 3:
         with pytest.raises(ConfigError, match="lie less than 5 mm from a line"):
             steps_of(LocationGridSequence(surface="plane", touches_mm=places))
+
+
+def test_options_that_give_no_steps_are_named_with_their_phase():
+    sequence = LocationGridSequence(surface="plane", locations_mm=[(0, 0)])
+    phase = PlannedPhase("three places", "location-grid", sequence)
+    with pytest.raises(ConfigError, match=r"phase 'three places': surface = .* from a line"):
+        list(phase.steps(example_plan([]).context))
 
 
 @given(
