@@ -5,7 +5,6 @@ import os
 import resource
 import shutil
 import sqlite3
-import time
 from contextlib import closing
 
 import h5py
@@ -113,9 +112,8 @@ def test_an_archive_of_another_size_is_not_read(line):
     """A file of 4 GiB takes seconds, and as much memory."""
     written = line.file.stat().st_size
     os.truncate(line.file, _MAX_ARCHIVE_BYTES)
-    before, begun_s = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss, time.monotonic()
+    before = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
     line.refused(f"which was changed: it has {_MAX_ARCHIVE_BYTES} bytes, {written} were written")
-    assert time.monotonic() - begun_s < 2
     assert resource.getrusage(resource.RUSAGE_SELF).ru_maxrss - before < 2**17  # KiB
 
 

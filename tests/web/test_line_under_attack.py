@@ -97,7 +97,7 @@ def test_strangers_make_room_for_strangers_but_not_for_those_who_showed_the_toke
         time.sleep(1.5)  # older than any that is spared as new
         for _ in range(100):
             opened.enter_context(_dripping(line, _REQUESTS["whole"]))
-        until(lambda: not _is_open(first), "the end of the first connection", 2.0)
+        until(lambda: not _is_open(first), "the end of the first connection", 10.0)
         signed.request("GET", "/", headers=_SIGNED)  # on the same connection
         assert signed.getresponse().status == 200
 

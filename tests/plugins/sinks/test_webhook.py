@@ -120,7 +120,7 @@ def test_an_answer_that_drips_ends_in_time(dripping, begun):
     with pytest.raises(DeliveryError, match=r"has not answered in full within 0\.3 s") as late:
         Webhook(url=f"http://127.0.0.1:{dripping(begun)}/", timeout_s=0.3).deliver(example_messages(1))
     assert not late.value.final
-    assert time.monotonic() - begun_s < 2
+    assert time.monotonic() - begun_s < 10  # it would drip for ever
 
 
 def test_a_refusal_whose_body_drips_is_a_refusal(dripping):
