@@ -10,6 +10,7 @@ from cbsr_qa.domain.results.report import Banner, Page
 from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.tables import duration, plural
+from cbsr_qa.system.clock import write_local_time
 
 _SYMBOLS: Final = {
     Outcome.PASS: "✓",
@@ -46,7 +47,7 @@ def run_page(result: RunResult) -> Page:
         ("Station", identity.station),
         ("Recipe", identity.recipe),
         ("Operator", identity.operator or "not stated"),
-        ("Started", identity.started_at.astimezone().strftime("%Y-%m-%d %H:%M %Z").strip()),
+        ("Started", write_local_time(identity.started_at)),
         ("Run", identity.run),
         ("Station time", duration(record.station_s)),
         _describe_issued(result),

@@ -7,7 +7,7 @@ any time of a run (decision 0019).
 
 import math
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from datetime import UTC, datetime, timedelta
 from typing import Final, Protocol
@@ -16,6 +16,16 @@ from typing import Final, Protocol
 TICK_S: Final = 2.0**-20
 #: Longest lag of a paced clock that it makes up by not waiting [s].
 _CATCH_UP_S: Final = 1.0
+
+
+def write_local_time(moment: datetime, *, zone: bool = True) -> str:
+    """Write a time by this computer's clock, with its zone or without it."""
+    return f"{moment.astimezone():%Y-%m-%d %H:%M}" + (f" {name_zones([moment])}" if zone else "")
+
+
+def name_zones(moments: Iterable[datetime]) -> str:
+    """Name the zone of times by this computer's clock, or both in summer and winter."""
+    return " and ".join(dict.fromkeys(moment.astimezone().tzname() or "local" for moment in moments)) or "UTC"
 
 
 def round_to_ticks(duration_s: float) -> float:

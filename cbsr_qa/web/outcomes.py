@@ -7,6 +7,7 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.listed import ALTERED, ListedRun
 from cbsr_qa.domain.run.states import EndReason, was_emergency
 from cbsr_qa.store.runs.live import RunLook
+from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.state import Mode, Snapshot
 from cbsr_qa.web.texts import text
 
@@ -96,7 +97,7 @@ def ago_words(moment: datetime) -> str:
     """Return how long ago something was, to the minute or hour; the time itself after a day, or if it is to come."""
     past_s = (datetime.now(UTC) - moment).total_seconds()
     if not 0 <= past_s < 86_400:
-        return text("ago.at", when=f"{moment:%Y-%m-%d %H:%M}")
+        return text("ago.at", when=write_local_time(moment))
     if past_s < 60:
         return text("ago.now")
     if past_s < 3600:

@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from cbsr_qa.system.clock import name_zones, write_local_time
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
 from cbsr_qa.web.line import Line
@@ -186,6 +187,8 @@ def _environment() -> Environment:
         "trace_minutes": f"{TRACE_S / 60:g}",
         "scale_colours": scale_colours(),
         "verdict_kind": verdict_kind,
+        "write_local_time": write_local_time,
+        "name_zones": name_zones,
         "cue": cue,
         "size_of": size_of,
         "earlier_words": earlier_words,

@@ -15,6 +15,7 @@ from cbsr_qa.station.control.lock import station_holder
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.runs.live import ChangeNotice, RunLook
+from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.confirmations import needs_confirmation
 from cbsr_qa.web.guard import LOG
@@ -190,7 +191,7 @@ class StationWatch:
         words = "" if started is None or self._begun else started.describe_refusal()
         if not words or started is None or started.process is not None:
             return words
-        return f"{text('station.refused_at', when=f'{started.at:%Y-%m-%d %H:%M}')}\n{words}"
+        return f"{text('station.refused_at', when=write_local_time(started.at))}\n{words}"
 
     def _look_after(self, store: Repository, now_s: float) -> None:
         if now_s < self._health_s:
@@ -202,7 +203,7 @@ class StationWatch:
         else:
             self._healthy = check.outcome is not CheckOutcome.FAILED
             key = "health.passed" if self._healthy else "health.failed"
-            self._health = text(key, when=f"{check.checked_at:%Y-%m-%d %H:%M}")
+            self._health = text(key, when=write_local_time(check.checked_at))
         limit_h = self.served.station.sync.backlog_hours
         if limit_h is not None and (backlog := store.read_backlog()).late(limit_h):
             self._healthy = False

@@ -164,6 +164,11 @@ def test_how_long_ago_a_test_was(past, words):
     assert ago_words(datetime.now(UTC) - past).startswith(words)
 
 
+def test_a_time_is_that_of_the_computers_clock(in_zurich):
+    assert ago_words(datetime(2026, 1, 31, 23, 30, tzinfo=UTC)) == "on 2026-02-01 00:30 CET"
+    assert ago_words(datetime(2026, 7, 31, 23, 30, tzinfo=UTC)) == "on 2026-08-01 01:30 CEST"
+
+
 @pytest.mark.parametrize(("length", "size"), [(5, "short"), (20, "medium"), (64, "long")])
 def test_a_long_serial_number_is_written_smaller(length, size):
     assert size_of("S" * length) == size

@@ -25,7 +25,7 @@ from cbsr_qa.plugin.discovery import Plugins, name_left_threads
 from cbsr_qa.report.tables import duration
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.types import time_of_id
-from cbsr_qa.system.clock import RealClock, Stages
+from cbsr_qa.system.clock import RealClock, Stages, write_local_time
 
 #: Time that the computation of a result may take to stop [s]; numerical libraries hear nothing within a call.
 _STOPS_WITHIN_S: Final = 30.0
@@ -154,7 +154,7 @@ def warn_unexplained(changes: Iterable[ConfigurationChange]) -> tuple[str, ...]:
     for change in changes:
         if change.why == NO_REASON:
             earlier, began = change.earlier_run, time_of_id(change.earlier_run)
-            run = f"run {earlier}" if began is None else f"the run of {began:%Y-%m-%d %H:%M} UTC ({earlier})"
+            run = f"run {earlier}" if began is None else f"the run of {write_local_time(began)} ({earlier})"
             warnings.append(
                 f"{change.kind} {change.name!r} is not what {run} used: {change.words()};"
                 f" {NO_REASON} (cbsr-qa run --why TEXT gives one)"

@@ -40,6 +40,7 @@ from cbsr_qa.report.section import Annexes, load_sections
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
+from cbsr_qa.system.clock import write_local_time
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -288,7 +289,7 @@ def _adoption_notes(analyses: Sequence[StoredAnalysis], recipe: str) -> Iterator
     adoption = analyses[0].adoption
     if adoption is None:
         return
-    decided = f"adopted by {adoption.operator} on {adoption.adopted_at:%Y-%m-%d %H:%M} UTC: {adoption.why}"
+    decided = f"adopted by {adoption.operator} on {write_local_time(adoption.adopted_at)}: {adoption.why}"
     yield f"The verdict and all values are of a re-analysis by recipe {recipe!r}, {decided}. Earlier ones are kept."
     for stored in analyses:
         if stored.calibration is not None:

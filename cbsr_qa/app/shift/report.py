@@ -14,6 +14,7 @@ from cbsr_qa.domain.run.run import UNCHAINED
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.tables import plural, text_table
 from cbsr_qa.stats.process_capability import Yield
+from cbsr_qa.system.clock import name_zones, write_local_time
 from cbsr_qa.system.files import csv_text
 
 #: Rows of a table in a terminal; JSON and CSV have all.
@@ -45,7 +46,7 @@ def runs_outcome(found: RunList) -> CommandOutcome[RunList]:
     """Lay out a list of runs."""
     rows = [_run_row(run) for run in found.runs[-MOST_SHOWN:]]
     columns = ("began", "sensor", "try", "batch", "station", "recipe", "verdict", "reason")
-    caption = _RUNS.format(zone=_name_zones([run.started_at for run in found.runs]))
+    caption = _RUNS.format(zone=name_zones([run.started_at for run in found.runs]))
     table = text_table(_cut(caption, len(found.runs)), columns, rows, (2,))
     return _outcome(found, "Runs", plural(len(found.runs), "run"), table)
 
@@ -54,7 +55,7 @@ def sensors_outcome(found: SensorList) -> CommandOutcome[SensorList]:
     """Lay out a list of sensors."""
     rows = [_sensor_row(sensor) for sensor in found.sensors[-MOST_SHOWN:]]
     columns = ("last run", "sensor", "batch", "recipe", "runs", "station", "verdict", "reason")
-    caption = _SENSORS.format(zone=_name_zones([sensor.last for sensor in found.sensors]))
+    caption = _SENSORS.format(zone=name_zones([sensor.last for sensor in found.sensors]))
     table = text_table(_cut(caption, len(found.sensors)), columns, rows, (4,))
     return _outcome(found, "Sensors", plural(len({sensor.serial for sensor in found.sensors}), "sensor"), table)
 
@@ -134,7 +135,7 @@ def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
     if run.verdict is None:
         reason = _NO_RESULT.format(run=run.run) if run.end is EndReason.FINISHED else ""
     return (
-        _moment(run.started_at),
+        write_local_time(run.started_at, zone=False),
         run.serial,
         str(run.number),
         run.batch or "–",
@@ -147,7 +148,7 @@ def _run_row(run: RunEntry) -> tuple[str | Cell, ...]:
 
 def _sensor_row(sensor: SensorEntry) -> tuple[str | Cell, ...]:
     return (
-        _moment(sensor.last),
+        write_local_time(sensor.last, zone=False),
         sensor.serial,
         sensor.batch or "–",
         sensor.recipe,
@@ -173,16 +174,6 @@ def _verdict(verdict: Outcome | Altered | None, end: EndReason, chain: str) -> C
         return Cell(f"{verdict}{unsaid}", verdict)
     end_words = "no result" if end is EndReason.FINISHED else str(end)
     return Cell(f"{end_words}{unsaid}", Outcome.NOT_MEASURED)
-
-
-def _moment(moment: datetime) -> str:
-    """Write a time by this computer's clock; JSON and CSV have UTC."""
-    return f"{moment.astimezone():%Y-%m-%d %H:%M}"
-
-
-def _name_zones(moments: Sequence[datetime]) -> str:
-    """Name the zone of times by this computer's clock, or both in summer and winter."""
-    return " and ".join(dict.fromkeys(moment.astimezone().tzname() or "local" for moment in moments)) or "UTC"
 
 
 def _csv(kind: type, entries: Sequence[Any]) -> str:

@@ -3,7 +3,6 @@
 import csv
 import io
 import json
-import time
 from datetime import timedelta
 
 import pytest
@@ -183,15 +182,6 @@ def test_sensors_say_who_overrode_the_verdict_that_they_show(shift, capsys):
     assert overridden == {"D": ("Bob", "scratched"), "E": ("Bob", "draught")}
     run_guarded(["sensors", "--database", url])
     assert "overridden by Bob: draught" in " ".join(capsys.readouterr().out.split())
-
-
-@pytest.fixture
-def in_zurich(monkeypatch):
-    monkeypatch.setenv("TZ", "CET-1CEST,M3.5.0,M10.5.0/3")
-    time.tzset()
-    yield
-    monkeypatch.undo()
-    time.tzset()
 
 
 def test_a_terminal_shows_local_times_with_their_zone_and_a_file_has_utc(shift, capsys, tmp_path, in_zurich):
