@@ -12,10 +12,10 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
-from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.config.serials import validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.web.confirmations import confirm_bench, needs_confirmation
-from cbsr_qa.web.gate import check_pin, gate_view, has_pin
+from cbsr_qa.web.gate import check_pin, gate_view, has_pin, read_latest
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
 from cbsr_qa.web.line import Line
@@ -40,7 +40,7 @@ class Actions:
     """Answers to forms, in JSON.
 
     ``parts`` of the page to replace, ``fields`` to fill in, and ``words`` to say; ``passes``: they go once the
-    station shows another state.
+    station shows another state; ``refused``: nothing was done.
     """
 
     def __init__(self, line: Line, pages: Pages) -> None:
@@ -62,27 +62,55 @@ class Actions:
         return {name: self._word_refusals(action) for name, action in (channel_actions | form_actions).items()}
 
     async def check(self, station: str, form: dict[str, str]) -> Response:
-        """Say whether a sensor may be tested, and offer to start."""
+        """Say whether a sensor may be tested, and offer to start.
+
+        A badge or a part that is scanned belongs to ``checked``, the sensor that the page shows, if there is one.
+        """
         watch = self._line.stations[station]
-        scanned = form.get("serial", "")
+        scanned, checked = form.get("serial", ""), form.get("checked", "")
         if not scanned:
             raise RefusedError(text("station.no_sensor_asked"))
+        fields, words = {}, ""
         if any(scanned == operator.name for operator in watch.served.station.gate.operators):
-            words = text("gate.badge", operator=scanned)
-            return _json_answer(fields={"operator": scanned, "serial": ""}, words=words)
-        if "=" in scanned:  # a part; one that is given twice is refused, and what was scanned before stays
-            parts = split_parts(f"{form.get('parts', '')}, {scanned}")
-            shown_parts = ", ".join(map(str, parts))
-            return _json_answer(fields={"parts": shown_parts, "serial": ""}, words=text("gate.part", part=scanned))
-        start_form = StartForm.from_form(watch.served, form)
+            fields, words = {"operator": scanned}, text("gate.badge", operator=scanned)
+        elif "=" in scanned:  # a part; one that is given twice is refused, and what was scanned before stays
+            stated = split_parts(f"{form.get('parts', '')}, {scanned}")
+            fields, words = {"parts": ", ".join(map(str, stated))}, text("gate.part", part=scanned)
+        elif scanned != checked:
+            fields = await run_in_threadpool(self._recall_sensor, form)
+        if words and not checked:
+            return _json_answer(fields={**fields, "serial": ""}, words=words)
+        fields["serial"] = checked if words else scanned
+        start_form = StartForm.from_form(watch.served, {**form, **fields})
+        self._refuse_elsewhere(station, start_form.serial)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
-        gate = ["gate", self._pages.gate(station, start_form, view)]
+        parts = [["gate", self._pages.gate(station, start_form, view)]]
         # A run that was cut off stays on the page, with its warning, until it is resumed or another run begins.
-        if watch.snapshot is not None and watch.snapshot.mode in (Mode.INTERRUPTED, Mode.UNSAFE):
-            return _json_answer(parts=[gate])
-        return _json_answer(
-            parts=[gate, ["state", self._pages.render_scan(station, start_form, view)], ["verdict", ""]]
-        )
+        snapshot = watch.snapshot
+        if snapshot is None or snapshot.mode not in (Mode.INTERRUPTED, Mode.UNSAFE):
+            parts.append(["state", self._pages.render_scan(station, start_form, view)])
+            if snapshot is None or not snapshot.resumable:
+                parts.append(["verdict", ""])
+        return _json_answer(parts=parts, fields=fields, words=words)
+
+    def _recall_sensor(self, form: dict[str, str]) -> dict[str, str]:
+        """Return the fields of parts and batch of a sensor that is scanned anew: as stated, else as in its last run.
+
+        Parts on the page are those of the sensor that it showed, if it showed one.
+        """
+        stated = "" if form.get("checked") else form.get("parts", "")
+        latest = read_latest(self._line.database, validate_serial(form["serial"]))
+        fields = {"parts": stated or ("" if latest is None else ", ".join(map(str, latest.parts)))}
+        if latest is not None and not form.get("batch"):
+            fields["batch"] = latest.batch
+        return fields
+
+    def _refuse_elsewhere(self, station: str, serial: str) -> None:
+        """Refuse a sensor that another station of the line is testing."""
+        for other, watch in self._line.stations.items():
+            snapshot = watch.snapshot
+            if other != station and snapshot is not None and snapshot.mode.runs and snapshot.serial == serial:
+                raise RefusedError(text("station.tested_elsewhere", serial=serial, station=other))
 
     async def leave(self, station: str, form: dict[str, str]) -> Response:
         """Show the station as before a scan: the sensor is not tested now."""
@@ -93,6 +121,7 @@ class Actions:
         """Start a run, or show why the gate refuses it."""
         watch = self._line.stations[station]
         start_form = StartForm.from_form(watch.served, form)
+        self._refuse_elsewhere(station, start_form.serial)
         guesser = await self.count_pin(station, start_form.operator, start_form.pin)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database, with_pin=True)
         if view.pin_is_right:
@@ -189,12 +218,12 @@ class Actions:
             except TooManyGuessesError as wait:
                 LOG.warning("%s: too many wrong PINs", station)
                 return _json_answer(
-                    words=text("refused.pins", operator=form.get("operator", ""), seconds=wait.wait_s)
+                    words=text("refused.pins", operator=form.get("operator", ""), seconds=wait.wait_s), refused=True
                 )
             except CbsrError as error:
                 LOG.warning("%s: %s", station, error.reason)
-                words = refusal_words(error)
-                return _json_answer(words=words, parts=[["gate", ""]])
+                parts = [["gate", ""], *self._pages.idle_parts(station)]
+                return _json_answer(words=refusal_words(error), parts=parts, refused=True)
 
         return answer_in_words
 

@@ -28,8 +28,9 @@ class GateView:
     may : whether the run may begin.
     asks_pin : whether it begins only with the PIN of the operator.
     answers : answers of the gate that are shown.
-    earlier : latest run of the sensor with the recipe; None before its first.
+    earlier : latest run of the sensor with the recipe, or with any if it has none; None before its first.
     runs : number of all runs of the sensor.
+    recipe : name of the recipe.
     """
 
     may: bool
@@ -37,12 +38,15 @@ class GateView:
     answers: tuple[GateAnswer, ...]
     earlier: RunLook | None = None
     runs: int = 0
+    recipe: str = ""
 
     @property
     def asks_again(self) -> str:
-        """The earlier run, if it has a result: another test needs a person's consent; else empty."""
+        """The earlier run with the recipe, if it has a result: another test needs a person's consent; else empty."""
         earlier = self.earlier
-        return "" if earlier is None or (earlier.verdict is None and not earlier.altered) else earlier.run
+        if earlier is None or earlier.recipe != self.recipe or (earlier.verdict is None and not earlier.altered):
+            return ""
+        return earlier.run
 
     @property
     def pin_is_right(self) -> bool:
@@ -82,16 +86,23 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     quiet_outcomes = (GateOutcome.PASSED, GateOutcome.OFF)
     answers = tuple(answer for answer in result.answers if answer.outcome not in quiet_outcomes)
     earlier, runs = _read_earlier(database, wanted)
-    return GateView(result.refused is None, result.asks_pin, answers, earlier, runs)
+    return GateView(result.refused is None, result.asks_pin, answers, earlier, runs, wanted.recipe.name)
 
 
 def _read_earlier(database: str | None, wanted: StartForm) -> tuple[RunLook | None, int]:
-    """Return the latest run of the sensor with the recipe, and the number of all its runs."""
+    """Return the latest run of the sensor with the recipe, else with any, and the number of all its runs."""
     with open_existing(database_url(database)) or nullcontext() as store:
         if store is None:
             return None, 0
-        earlier = store.live.find_latest_of_sensor(wanted.serial, wanted.recipe.name)
+        find = store.live.find_latest_of_sensor
+        earlier = find(wanted.serial, wanted.recipe.name) or find(wanted.serial)
         return earlier, store.lists.count_runs(RunSelection(serials=(wanted.serial,)))
+
+
+def read_latest(database: str | None, serial: str) -> RunLook | None:
+    """Return the latest run of a sensor with any recipe; None before its first. RefusedError if it cannot be read."""
+    with open_existing(database_url(database)) or nullcontext() as store:
+        return None if store is None else store.live.find_latest_of_sensor(serial)
 
 
 def has_pin(served: ServedStation, operator: str) -> bool:

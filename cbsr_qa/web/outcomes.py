@@ -39,7 +39,7 @@ SIGNS: Final = {
     "refused": "fail",
     "overridden": "marginal",
     "off": "ready",
-    "may": "pass",
+    "may": "run",
     "again": "unknown",
 }
 

@@ -16,6 +16,7 @@ from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import TRACE_S, LiveView, Place
 from cbsr_qa.web.outcomes import (
     SIGNS,
+    ago_words,
     cue,
     describe_decision,
     earlier_words,
@@ -191,6 +192,7 @@ def _environment() -> Environment:
         "name_zones": name_zones,
         "cue": cue,
         "size_of": size_of,
+        "ago_words": ago_words,
         "earlier_words": earlier_words,
         "shown_limits": SHOWN_LIMITS,
         "kind_of_result": kind_of_result,

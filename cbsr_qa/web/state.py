@@ -102,6 +102,7 @@ class Snapshot:
     control : state of the run in progress, by its channel; None without a run, or before it answers.
     look : latest stored run; None before the first.
     failed : limits that decided the latest run's outcome, unless it passed; worst first.
+    failed_before : the run of its sensor and recipe before it, if both failed.
     live : view of the run in progress; None without one.
     refused : reason why the run that was started last never began; empty otherwise.
     trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
@@ -113,6 +114,7 @@ class Snapshot:
     control: Control | None
     look: RunLook | None
     failed: tuple[FailedLimit, ...]
+    failed_before: RunLook | None
     live: LiveView | None
     starting: str
     refused: str

@@ -69,6 +69,7 @@ class StationWatch:
         self._reported = ""
         self._begun_s = monotonic()
         self._failed: tuple[FailedLimit, ...] = ()
+        self._failed_before: RunLook | None = None
 
     @property
     def busy(self) -> bool:
@@ -131,6 +132,7 @@ class StationWatch:
             control=control,
             look=self.look,
             failed=self._failed,
+            failed_before=self._failed_before,
             live=live,
             starting=started.what if started is not None else "",
             refused=self._describe_refusal(),
@@ -156,12 +158,16 @@ class StationWatch:
         return ""
 
     def _take_look(self, store: Repository, look: RunLook | None) -> None:
-        """Keep the latest run, and the limits that decided it."""
+        """Keep the latest run, the limits that decided it, and the failure before it if it failed."""
         if look == self.look:
             return
-        self.look, self._failed = look, ()
+        self.look, self._failed, self._failed_before = look, (), None
         if look is not None and not look.altered:
             self._failed = tuple(_list_failed(store, look))
+        if look is not None and look.verdict is Outcome.FAIL:
+            before = store.live.find_latest_of_sensor(look.serial, look.recipe, before=look.run)
+            if before is not None and before.verdict is Outcome.FAIL:
+                self._failed_before = before
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
         """Read the data that the run in progress has stored; return the problem, empty without one."""

@@ -30,7 +30,7 @@ def start(page: Page, serial: str, recipe: str) -> None:
     page.locator("#recipe").select_option(recipe)
     page.locator("#serial").fill(serial)
     page.keyboard.press("Enter")
-    expect(page.locator("#gate button")).to_be_focused()
+    expect(page.locator("#gate [action$='/start'] button")).to_be_focused()
     page.keyboard.press("Enter")
 
 

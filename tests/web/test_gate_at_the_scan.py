@@ -1,7 +1,11 @@
 """What a scan says first: what this sensor did before, at which station, and whether another test needs consent."""
 
+import asyncio
+import json
 import sqlite3
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from types import SimpleNamespace
 
 import pytest
 import sqlalchemy as sa
@@ -12,9 +16,11 @@ from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.gate import gate_view
 from cbsr_qa.web.outcomes import earlier_words
 from cbsr_qa.web.start import StartForm
+from cbsr_qa.web.state import Mode
 from cbsr_qa.web.stations import load_stations
 
 _MEASURED = (Measurement("drift", 0.1, "%/min"),)
@@ -56,12 +62,63 @@ def test_the_latest_test_with_this_recipe_is_named_with_its_station_and_asks_for
     assert earlier_words(view.earlier) == f"{words} at line-8, just now."
 
 
+def test_a_test_with_another_recipe_is_named_and_needs_no_consent(served, database):
+    with open_store(f"sqlite:///{database}") as store:
+        store_run(store, "S-1", _MEASURED, recipe="other", station="line-7", verdict=Verdict(Outcome.FAIL, "why"))
+    view = _view(served, database)
+    assert (view.asks_again, earlier_words(view.earlier)) == ("", "Failed at line-7, just now.")
+
+
 def test_a_run_without_a_result_is_named_and_needs_no_consent(served, database):
     recipe = served.recipes[0].name
     with open_store(f"sqlite:///{database}") as store:
         store_run(store, "S-1", _MEASURED, recipe=recipe, station="line-7", end=EndReason.ABORTED)
     view = _view(served, database)
     assert (view.asks_again, earlier_words(view.earlier)[:18]) == ("", "Stopped at line-7,")
+
+
+def _actions(served, database, *, elsewhere=None):
+    """Actions of a line of two stations, the other of which may be testing a sensor."""
+    line = SimpleNamespace(database=database, stations={})
+    for name, serial in (("line-1", ""), ("line-2", elsewhere)):
+        snapshot = SimpleNamespace(mode=Mode.RUNNING if serial else Mode.READY, serial=serial, resumable=False)
+        line.stations[name] = SimpleNamespace(served=served, snapshot=snapshot)
+    gate = SimpleNamespace(
+        gate=lambda station, form, view: f"{form.serial}: {form.batch} {', '.join(map(str, form.parts))}",
+        render_scan=lambda *_: "",
+        idle_parts=lambda _: [["state", "as before"]],
+    )
+    return Actions(line, gate)
+
+
+def _check(actions, **form):
+    with ThreadPoolExecutor(1) as another:  # a browser of other tests has an event loop in this thread
+        return json.loads(another.submit(asyncio.run, actions.list_actions()["check"]("line-1", form)).result().body)
+
+
+def test_a_sensor_keeps_the_parts_and_the_batch_of_its_latest_run(served, database):
+    with open_store(f"sqlite:///{database}") as store:
+        store_run(store, "S-1", _MEASURED, recipe="other", batch="41", parts=["sheet=LOT7/B"])
+    actions = _actions(served, database)
+    again = _check(actions, serial="S-1")
+    assert again["parts"][0] == ["gate", "S-1: 41 sheet=LOT7/B"]
+    assert again["fields"] == {"serial": "S-1", "batch": "41", "parts": "sheet=LOT7/B"}
+    stated = _check(actions, serial="S-1", batch="42", parts="board=9")
+    assert stated["parts"][0] == ["gate", "S-1: 42 board=9"]
+    removed = _check(actions, serial="S-1", checked="S-1", batch="", parts="")  # somebody emptied the fields
+    assert removed["parts"][0] == ["gate", "S-1:  "]
+    other = _check(actions, serial="S-2", checked="S-1", parts="board=9")
+    assert other["parts"][0] == ["gate", "S-2:  "]
+
+
+def test_a_sensor_that_another_station_tests_is_refused(served, database):
+    refused = _check(_actions(served, database, elsewhere="S-1"), serial="S-1")
+    assert refused == {
+        "words": "Sensor S-1 is being tested at line-2 now.",
+        "parts": [["gate", ""], ["state", "as before"]],
+        "refused": True,
+    }
+    assert _check(_actions(served, database, elsewhere="S-1"), serial="S-2")["parts"][0] == ["gate", "S-2:  "]
 
 
 def test_the_past_of_a_sensor_is_found_by_an_index_among_however_many_runs(database):
@@ -76,6 +133,7 @@ def test_the_past_of_a_sensor_is_found_by_an_index_among_however_many_runs(datab
                 statements.append((statement, parameters))
 
         assert store.live.find_latest_of_sensor("S-1", "nine-locations") is not None
+        assert store.live.find_latest_of_sensor("S-1") is not None
         assert store.lists.count_runs(RunSelection(serials=("S-1",))) == 1
     assert statements
     with closing(sqlite3.connect(database)) as opened:

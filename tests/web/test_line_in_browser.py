@@ -22,7 +22,7 @@ def _scan(page, serial, recipe):
     page.locator("#serial").focus()
     page.keyboard.type(serial)
     page.keyboard.press("Enter")
-    expect(page.locator("#gate button")).to_be_focused()
+    expect(page.locator("#gate [action$='/start'] button")).to_be_focused()
     page.keyboard.press("Enter")
 
 
@@ -212,6 +212,45 @@ def test_a_badge_names_the_operator_a_part_is_added_and_what_nobody_knows_loses_
     expect(page.locator("#gate .refused")).to_contain_text("Eve is not on the list of operators")
     expect(page.locator("#gate .facts")).to_contain_text("parts board=12, sheet=LOT7/B")
     expect(page.locator("#serial")).to_have_value("BADGE-1")
+
+
+def test_what_is_changed_after_the_scan_counts(pages):
+    """The sensor is checked again by itself; until then it cannot be started."""
+    page = pages("/stations/bench-1")
+    start, facts = page.locator("#gate [action$='/start'] button"), page.locator("#gate .facts").first
+    page.locator("#recipe").select_option("five-places")
+    page.locator("#serial").fill("LATE-1")
+    page.keyboard.press("Enter")
+    expect(facts).to_contain_text("parts not given · recipe five-places")
+    page.locator("#operator").focus()
+    page.keyboard.type("Kim")
+    expect(start).to_be_disabled()
+    expect(facts).to_contain_text("operator Kim")
+    expect(page.locator("#operator")).to_be_focused()
+    page.locator("#recipe").select_option("strict")
+    expect(facts).to_contain_text("recipe strict · operator Kim")
+    page.locator("#serial").focus()
+    page.keyboard.type("sheet=LOT7/B")
+    page.keyboard.press("Enter")
+    expect(facts).to_contain_text("parts sheet=LOT7/B · recipe strict · operator Kim")
+    expect(page.locator("#serial")).to_have_value("LATE-1")
+    expect(start).to_be_enabled()
+    page.locator("#serial").fill("LATE-2")
+    page.keyboard.press("Enter")
+    expect(page.locator("#gate")).to_contain_text("Sensor LATE-2 can be tested")
+    expect(facts).to_contain_text("parts not given")  # they were those of the other sensor
+
+
+def test_a_scan_that_is_refused_leaves_nothing_ready(pages):
+    page = pages("/stations/bench-1")
+    page.locator("#serial").fill("FINE-1")
+    page.keyboard.press("Enter")
+    _shows(page, "Ready to start")
+    page.locator("#serial").fill("not fine")
+    page.keyboard.press("Enter")
+    expect(page.locator("#say.refused")).to_contain_text("cannot be used")
+    expect(page.locator("#gate")).to_be_empty()
+    expect(page.locator("#state")).not_to_contain_text("Ready to start")
 
 
 @pytest.mark.rest

@@ -35,7 +35,7 @@ def _control(**state):
 
 def _snapshot(look, mode=None, control=None, live=None):
     mode = mode or mode_of(control, look, held=control is not None, starting=False)
-    return Snapshot("bench", mode, control, look, (), live, "", "", "", "", healthy=True)
+    return Snapshot("bench", mode, control, look, (), None, live, "", "", "", "", healthy=True)
 
 
 def _ended(store, *ends):
@@ -178,6 +178,19 @@ def test_a_process_whose_run_has_ended_is_not_starting(store):
     look = store.live.find_run(_ended(store, EndReason.ABORTED))
     assert mode_of(None, look, held=True, starting=True, begun=True) is Mode.CONCLUDING
     assert mode_of(None, look, held=False, starting=True, begun=False) is Mode.STARTING
+
+
+def test_a_second_failure_says_so(store, tmp_path):
+    run = store_run(store, "S-1", (), station="bench", verdict=Verdict(Outcome.FAIL, "it drifts"))
+    look = store.live.find_run(run)
+    pages = Pages(Line((), str(tmp_path / "runs.db")))
+    shown = [
+        pages.fragment(
+            "verdict", s=replace(_snapshot(look, Mode.DONE), failed_before=before), base="", asks_operator=False
+        )
+        for before in (None, look)
+    ]
+    assert ["This sensor has failed before: at bench, just now." in html for html in shown] == [False, True]
 
 
 def test_every_failed_limit_is_shown_with_its_code_and_what_to_do_if_it_has_them(store, tmp_path):

@@ -8,7 +8,9 @@ from served_line import until
 from stored_lots import store_run
 
 from cbsr_qa.config.loader import load_station
+from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.plan.plan import SyncSettings
+from cbsr_qa.domain.results.measurement import Verdict
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web import watching
 from cbsr_qa.web.channel import ChannelClient
@@ -93,6 +95,19 @@ def test_a_start_that_was_refused_is_shown_after_the_page_was_restarted_until_a_
     assert not only.snapshot.refused
 
 
+@pytest.mark.parametrize("outcome", [Outcome.PASS, Outcome.FAIL])
+def test_the_failure_before_a_failure_is_kept(url, watched, outcome):
+    with open_store(url) as store:
+        first, _ = (
+            store_run(store, "S-1", (), station="only", verdict=Verdict(each, "why"))
+            for each in (outcome, Outcome.FAIL)
+        )
+        store_run(store, "S-2", (), station="other", verdict=Verdict(Outcome.FAIL, "why"))
+    _, (only,) = watched("only")
+    before = until(lambda: only.snapshot, "the station").failed_before
+    assert (before and before.run) == (first if outcome is Outcome.FAIL else None)
+
+
 def test_a_backlog_that_is_too_old_is_no_good_health(url, tmp_path, watched):
     with open_store(url) as store:
         store_run(store, "S-1", (), station="only")
@@ -101,4 +116,4 @@ def test_a_backlog_that_is_too_old_is_no_good_health(url, tmp_path, watched):
     _, (only,) = watched("only")
     until(lambda: only.snapshot and only.snapshot.health, "the station")
     assert not only.snapshot.healthy
-    assert "Station never checked; not sent to the central database: 1 item waits" in only.snapshot.health
+    assert "(cbsr-qa station check); not sent to the central database: 1 item waits" in only.snapshot.health

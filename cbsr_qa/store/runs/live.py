@@ -208,9 +208,20 @@ class LiveRuns:
         """Return the latest run of a station; None before its first."""
         return _look(self._engine, RunRow.station == station)
 
-    def find_latest_of_sensor(self, serial: str, recipe: str) -> RunLook | None:
-        """Return the latest run of a sensor with a recipe, at any station; None before its first."""
-        return _look(self._engine, (RunRow.serial == serial) & (RunRow.recipe == recipe))
+    def find_latest_of_sensor(self, serial: str, recipe: str = "", *, before: str = "") -> RunLook | None:
+        """Return the latest run of a sensor at any station; None before its first.
+
+        Parameters
+        ----------
+        recipe : name of the recipe; empty for any.
+        before : run that it precedes; empty for the very latest.
+        """
+        which = RunRow.serial == serial
+        if recipe:
+            which &= RunRow.recipe == recipe
+        if before:
+            which &= RunRow.run < before
+        return _look(self._engine, which)
 
     def find_run(self, run: str) -> RunLook | None:
         """Return a run; None if it is not stored."""

@@ -9,11 +9,22 @@ const connection = document.getElementById("connection");
 let lastKey = 0;
 const isTyping = () => Date.now() - lastKey < 500 && document.activeElement?.matches("input");
 
+// After an emergency stop the station stays red while the run comes to its end, for five seconds at most.
+let redUntil = 0;
+let late = 0;
+
 // What is shown already is not replaced: somebody may be typing in it. What was typed is kept.
 const keys = JSON.parse(body.dataset.keys ?? "{}");
 function put([id, html, key]) {
   const place = document.getElementById(id);
   if (!place || (key && keys[id] === key)) return;
+  if (id === "state" && key) {
+    clearTimeout(late);
+    if (Date.now() < redUntil && /class="board (running|paused|asking)/.test(html)) {
+      late = setTimeout(put, redUntil - Date.now(), [id, html, key]);
+      return;
+    }
+  }
   if (key) keys[id] = key;
   const fields = key ? [...place.querySelectorAll("input[id]:not([type=hidden])")] : [];  // an answer clears them
   const typed = fields.filter((one) => one.value !== one.defaultValue);
@@ -29,7 +40,7 @@ function put([id, html, key]) {
   const before = focused && document.getElementById(focused);
   // Half a serial number must not go elsewhere: whoever is typing keeps the focus.
   if (before) before.focus();
-  else if (first && !isTyping() && !isHalfTyped()) first.focus();
+  else if (first && !isTyping() && !isHalfTyped() && !isStated(document.activeElement)) first.focus();
 }
 
 // What the browser remembers: who works here, and which details are open.
@@ -49,11 +60,11 @@ function settle() {
   turnOfState += 1;
   if (say.dataset.passes === "true") tell("");
 }
-function tell(words, { passes = false, unsent = false } = {}) {
+function tell(words, { passes = false, refused = false } = {}) {
   say.textContent = words;
   say.dataset.passes = passes;
-  say.classList.toggle("unsent", unsent);
-  if (words && !unsent) setTimeout(() => { if (say.textContent === words) tell(""); }, 15000);
+  say.classList.toggle("refused", refused);
+  if (words && !refused) setTimeout(() => { if (say.textContent === words) tell(""); }, 15000);
 }
 
 // The next picture is decoded before it replaces the last one, so that nothing flickers.
@@ -70,16 +81,16 @@ async function show(address) {
   }
 }
 
-function take({ parts = [], picture = "", words = "", passes = false, fields = {} }, asked = turnOfState) {
+function take({ parts = [], picture = "", words = "", passes = false, refused = false, fields = {} }, asked = turnOfState) {
   if (picture) show(picture);  // it is fetched while parts are laid out
   parts.forEach(put);
   for (const [id, value] of Object.entries(fields)) {
     const field = document.getElementById(id);
     if (field && !(id === "serial" && isHalfTyped())) field.value = value;
   }
-  if ("serial" in fields && !isTyping()) document.getElementById("serial")?.focus();
+  if (fields.serial === "" && !isTyping()) document.getElementById("serial")?.focus();
   if (parts.some(([id]) => id === "state")) hear(document.querySelector("[data-cue]")?.dataset.cue);
-  if (words && !(passes && asked !== turnOfState)) tell(words, { passes });
+  if (words && !(passes && asked !== turnOfState)) tell(words, { passes, refused });
 }
 prepare(document);
 hear(document.querySelector("[data-cue]")?.dataset.cue);
@@ -140,6 +151,26 @@ function isHalfTyped() {
   return Boolean(serial?.value) && serial.value !== sentSerial;
 }
 
+// Recipe, operator, batch and parts of the sensor that is shown: if one is changed, the sensor is checked again before
+// it can be started.
+const shownSerial = () => document.querySelector("#gate [data-serial]")?.dataset.serial ?? "";
+const isStated = (field) => field?.id !== "serial" && field?.form && field.form === document.getElementById("serial")?.form;
+let rechecking = 0;
+function checkAgain() {
+  clearTimeout(rechecking);
+  const serial = document.getElementById("serial");
+  if (!serial || !shownSerial() || isHalfTyped()) return;
+  serial.value = shownSerial();
+  serial.form.requestSubmit();
+}
+document.addEventListener("input", (event) => {
+  if (!isStated(event.target) || !shownSerial()) return;
+  for (const button of document.querySelectorAll("#gate form[action$='/start'] button")) button.disabled = true;
+  clearTimeout(rechecking);
+  rechecking = setTimeout(checkAgain, 700);
+});
+document.addEventListener("change", (event) => { if (rechecking && isStated(event.target)) checkAgain(); });
+
 let turn = 0;
 document.addEventListener("submit", async (event) => {
   const form = event.target;
@@ -157,17 +188,34 @@ document.addEventListener("submit", async (event) => {
   if (fields.get("operator")) localStorage.setItem("cbsr-qa operator", fields.get("operator"));
   if (!fields.has("operator")) fields.set("by", localStorage.getItem("cbsr-qa operator") ?? "");
   if (latest) {
+    clearTimeout(rechecking);
+    rechecking = 0;
+    fields.set("checked", shownSerial());
     [sentSerial, checking, early] = [fields.get("serial"), mine, ""];
-    document.getElementById("serial")?.select();  // the next scan replaces it
+    if (document.activeElement?.id === "serial") document.activeElement.select();  // the next scan replaces it
+  }
+  const board = form.dataset.stops && document.querySelector("#state .board");
+  const shownBefore = board?.cloneNode(true);
+  const showBefore = () => {
+    redUntil = 0;
+    board?.replaceWith(shownBefore);
+  };
+  if (board) {
+    redUntil = Date.now() + 5000;
+    board.className = "board emergency";
+    board.querySelector("p").textContent = form.dataset.stops;
   }
   try {
     const answer = await fetch(form.action, { method: "POST", body: fields, signal: AbortSignal.timeout(30000) });
     if (latest && mine !== turn) return;
-    if (answer.headers.get("content-type")?.startsWith("application/json")) take(await answer.json(), asked);
-    else tell(await answer.text());
+    const said = answer.headers.get("content-type")?.startsWith("application/json") ? await answer.json() : null;
+    if (!said?.passes) showBefore();
+    if (said) take(said, asked);
+    else tell(await answer.text(), { refused: true });
   } catch {
     lost(true);
-    tell(form.dataset.unsent ?? body.dataset.unsent, { unsent: true });
+    showBefore();
+    tell(form.dataset.unsent ?? body.dataset.unsent, { refused: true });
   } finally {
     button?.removeAttribute("aria-busy");
     if (checking === mine) typeEarly();
