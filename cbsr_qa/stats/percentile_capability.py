@@ -22,10 +22,25 @@ from cbsr_qa.stats.normality import LEVEL
 from cbsr_qa.stats.process_capability import Index
 
 FEWEST_VALUES: Final = 10
-_SHARES: Final = (0.00135, 0.5, 0.99865)
+SHARES: Final = (0.00135, 0.5, 0.99865)  #: of the points that are compared with the limits
 _MOST_VALUES: Final = 1000  #: more are thinned; they would take long and say little more
 _LARGEST_LOG: Final = 690.0  #: its exponential is still finite
 _METHOD: Final = "percentiles of the families that may explain the values"
+
+
+def pool_subgroups(groups: Sequence[Iterable[float]]) -> Array | str:
+    """Return the values of all subgroups, (n,), or the reason why they have no percentiles of one process."""
+    arrays = [np.asarray(list(group), dtype=float) for group in groups]
+    values = np.concatenate(arrays)
+    if len(values) < FEWEST_VALUES:
+        return f"percentiles need {FEWEST_VALUES} values; there are {len(values)}"
+    if not np.median(np.abs(values - np.median(values))):
+        return "more than half of the values are the same"
+    if len(arrays) > 1 and len(values) > len(arrays):
+        p_value = float(stats.f_oneway(*arrays).pvalue)
+        if p_value < LEVEL:
+            return f"subgroups differ (p = {p_value:.2g}): percentiles need values of one process"
+    return values
 
 
 def percentile_index(
@@ -38,16 +53,9 @@ def percentile_index(
     groups : values of each subgroup, in the unit of the limits.
     lower, upper : limits; at least one.
     """
-    arrays = [np.asarray(list(group), dtype=float) for group in groups]
-    values = np.concatenate(arrays)
-    if len(values) < FEWEST_VALUES:
-        return f"percentiles need {FEWEST_VALUES} values; there are {len(values)}"
-    if not np.median(np.abs(values - np.median(values))):
-        return "more than half of the values are the same"
-    if len(arrays) > 1 and len(values) > len(arrays):
-        p_value = float(stats.f_oneway(*arrays).pvalue)
-        if p_value < LEVEL:
-            return f"subgroups differ (p = {p_value:.2g}): percentiles need values of one process"
+    values = pool_subgroups(groups)
+    if isinstance(values, str):
+        return values
     indices, weights = _weigh_indices(values, lower, upper)
     order = np.argsort(indices)
     below = np.cumsum(weights[order]) - 0.5 * weights[order]
@@ -84,7 +92,7 @@ def _weigh_indices(values: Array, lower: float | None, upper: float | None) -> t
     thinned = np.sort(values)[:: -(-len(values) // _MOST_VALUES)]
     indices, weights = [], []
     for member, locations, scales, shares in average(thinned, +1, positive=thinned[0] > 0).nodes():
-        low, middle, high = (locations + scales * member.posterior.family.quantile(share) for share in _SHARES)
+        low, middle, high = (locations + scales * member.posterior.family.quantile(share) for share in SHARES)
         if member.logarithmic:
             low, middle, high = (np.exp(np.minimum(end, _LARGEST_LOG)) for end in (low, middle, high))
         rooms = [(upper - middle) / (high - middle)] if upper is not None else []
