@@ -30,8 +30,8 @@ TRUTHS: dict[str, tuple[float, ...]] = {
     "logistic": (10.0, 1.0),
     "largest-extreme-value": (10.0, 1.0),
     "smallest-extreme-value": (10.0, 1.0),
-    "3-parameter log-normal": (0.0, 0.5, 10.0),
-    "3-parameter weibull": (0.0, 1 / 1.7, 10.0),
+    "3-parameter-log-normal": (0.0, 0.5, 10.0),
+    "3-parameter-weibull": (0.0, 1 / 1.7, 10.0),
 }
 
 
@@ -79,10 +79,8 @@ def main() -> None:
     for name in TRUTHS:
         for count in options.counts:
             row = measure(name, count, options.samples, options.sides)
-            print(
-                f"{name}, {count}: {row.ppk:.1%} {row.ppm:.1%}; {row.ppk_chosen:.1%} ({row.right:.0%}); {row.ppk_open:.1%}",
-                flush=True,
-            )
+            named, chosen = f"{row.ppk:.1%} {row.ppm:.1%}", f"{row.ppk_chosen:.1%} ({row.right:.0%})"
+            print(f"{name}, {count}: {named}; {chosen}; {row.ppk_open:.1%}", flush=True)
 
 
 if __name__ == "__main__":

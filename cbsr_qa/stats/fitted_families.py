@@ -146,7 +146,8 @@ class Gamma(FittedFamily):
         return np.asarray(stats.gamma.logpdf(values / scale, shape) - np.log(scale), dtype=float)
 
     def pivot(self, estimate: Array, drawn: Array) -> Array:
-        return estimate**2 / drawn
+        reflected: Array = estimate**2 / drawn
+        return reflected
 
 
 @dataclass(frozen=True)
@@ -160,7 +161,7 @@ class Threshold(FittedFamily):
     @property
     def name(self) -> str:  # type: ignore[override]
         """Return the name that the trade uses."""
-        return f"3-parameter {self.above.name}"
+        return f"3-parameter-{self.above.name}"
 
     def fit(self, values: Array) -> Array:
         ordered = np.sort(values, axis=-1)
@@ -185,7 +186,8 @@ class Threshold(FittedFamily):
         return np.array([*self.above.fit(ordered - threshold[:, None]), threshold])
 
     def quantile(self, parameters: Array, share: Any) -> Array:
-        return self.above.quantile(parameters[:2], share) + _align(parameters, share)[2]
+        point: Array = self.above.quantile(parameters[:2], share) + _align(parameters, share)[2]
+        return point
 
     def share_below(self, parameters: Array, values: Any) -> Array:
         distances = np.atleast_2d(values) - parameters[2][:, None]
@@ -193,7 +195,7 @@ class Threshold(FittedFamily):
         return share if np.ndim(values) else share[:, 0]
 
     def log_density(self, parameters: Array, values: Array) -> Array:
-        return self.above.log_density(parameters[:2], values - _align(parameters, values)[2])
+        return self.above.log_density(parameters[:2], values - parameters[2][:, None])
 
     def pivot(self, estimate: Array, drawn: Array) -> Array:
         # Location and scale of the values: median, and its distance from the threshold.

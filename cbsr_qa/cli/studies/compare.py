@@ -36,6 +36,13 @@ def compare(
             help="Say how many sensors it takes to find a difference of this size (80 % power); repeatable.",
         ),
     ] = None,
+    distribution: Annotated[
+        list[str] | None,
+        typer.Option(
+            metavar="[METRIC=]NAME",
+            help="Fit this distribution, or the best, for the capability of values that are not normal; repeatable.",
+        ),
+    ] = None,
     policy: Annotated[
         str, typer.Option(help="Which run of a sensor decides: first, last, or any that passed.")
     ] = "last",
@@ -71,6 +78,7 @@ def compare(
         Quarantine,
         Terms,
         read_amounts,
+        read_distributions,
         read_groups,
     )
     from cbsr_qa.system.clock import RealClock
@@ -90,6 +98,7 @@ def compare(
         adjustment=one_of(Adjustment, adjust, "--adjust"),
         margins=read_amounts(margin or (), "--margin"),
         detect=read_amounts(detect or (), "--detect"),
+        distributions=read_distributions(distribution or ()),
     )
     parts = read_parts(part or ())
     selection = RunSelection(recipe=recipe, since=to_day(since), until=to_day(until), parts=parts)

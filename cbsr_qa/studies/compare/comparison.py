@@ -219,12 +219,13 @@ def compare(table: FleetTable, terms: Terms, now: datetime) -> Comparison:
 
 def _choose_metrics(every: Sequence[MetricValues], terms: Terms) -> list[MetricValues]:
     measured_names = {values.key.name for values in every}
-    for name in (*terms.names, *terms.margins, *terms.detect):
+    for name in (*terms.names, *terms.margins, *terms.detect, *filter(None, terms.distributions)):
         if name not in measured_names:
             raise missing_metric_error(name, measured_names)
-    for option, asked in (("--margin", terms.margins), ("--detect", terms.detect)):
+    options = {"--margin": terms.margins, "--detect": terms.detect, "--distribution": terms.distributions}
+    for option, asked in options.items():
         for name in asked if terms.names else ():
-            if name not in terms.names:
+            if name and name not in terms.names:
                 raise RefusedError(
                     f"{option} states {name!r}, which is not among the metrics to compare: {', '.join(terms.names)}",
                     remedy=f"name it too (--metric {name}), or leave its {option} out",

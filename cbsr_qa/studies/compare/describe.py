@@ -13,6 +13,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunLine
 from cbsr_qa.stats.crossings import IntArray
+from cbsr_qa.stats.fitted_capability import FittedCapability, fitted_capability
 from cbsr_qa.stats.percentile_capability import percentile_index, percentile_index_of_extremes
 from cbsr_qa.stats.process_capability import Capability, Index, capability, capability_of_extremes, pass_rate
 from cbsr_qa.stats.samples import Interval, quantile, summary
@@ -69,6 +70,7 @@ class Distribution(OfMetric):
     quantiles : value at each share of :data:`QUANTILES`, which is the key; empty without values.
     no_capability : reason if ``capability`` is None.
     percentile_ppk : Ppk by percentiles, for values of any shape; None for the reason ``no_percentile_ppk``.
+    fitted_capability : capability by the family that was asked for; None for the reason ``no_fitted_capability``.
     """
 
     group: str
@@ -82,6 +84,8 @@ class Distribution(OfMetric):
     no_capability: str | None = None
     percentile_ppk: Index | None = None
     no_percentile_ppk: str | None = None
+    fitted_capability: FittedCapability | None = None
+    no_fitted_capability: str | None = None
 
 
 def groups_of(
@@ -153,6 +157,7 @@ def distribution(
     moments = summary(values, metric.key.label)
     quantiles = {probability: quantile(values, probability, confidence=terms.confidence) for probability in QUANTILES}
     group_capability, why = _estimate_capability(metric, runs, indices, terms)
+    fitted, why_not_fitted = _fit_capability(metric, runs, indices, terms)
     percentile_ppk = None if group_capability is None else _estimate_percentile_index(metric, runs, indices, terms)
     return Distribution(
         *metric.identity,
@@ -167,6 +172,8 @@ def distribution(
         no_capability=why,
         percentile_ppk=percentile_ppk if isinstance(percentile_ppk, Index) else None,
         no_percentile_ppk=percentile_ppk if isinstance(percentile_ppk, str) else None,
+        fitted_capability=fitted,
+        no_fitted_capability=why_not_fitted,
     )
 
 
@@ -205,6 +212,23 @@ def _estimate_percentile_index(
         upper=metric.upper,
         confidence=terms.confidence,
     )
+
+
+def _fit_capability(
+    metric: MetricValues, runs: Sequence[RunLine], indices: IntArray, terms: Terms
+) -> tuple[FittedCapability | None, str | None]:
+    """Return the capability by the family that was asked for, or the reason for none; two Nones if none was."""
+    family = terms.distribution_of(metric.key.name)
+    if family is None or not metric.limited:
+        return None, None if family is None else "no limit"
+    if metric.lower is not None and metric.upper is not None and metric.per_run > 1:
+        return None, "both limits judge several values of a run, which are not of one distribution"
+    members = _split_by_batch_and_station(_pick_deciding(metric), runs, indices)
+    limits = {"lower": metric.lower, "upper": metric.upper}
+    try:
+        return fitted_capability(members, family, confidence=terms.confidence, **limits), None
+    except NumericsError as error:
+        return None, error.reason
 
 
 def _pick_deciding(metric: MetricValues) -> Array:

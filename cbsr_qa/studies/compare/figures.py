@@ -16,6 +16,7 @@ from cbsr_qa.report.draw.style import (
     FAINT,
     INK,
     QUIET,
+    VERMILION,
     bare,
     canvas,
     change_norm,
@@ -24,11 +25,15 @@ from cbsr_qa.report.draw.style import (
     name_rows,
 )
 from cbsr_qa.report.tables import number, unit_column
+from cbsr_qa.stats.fitted_capability import FamilyFit
+from cbsr_qa.stats.fitted_families import FAMILIES
+from cbsr_qa.stats.percentile_capability import SHARES
 from cbsr_qa.studies.compare.differences import PlaceDifference
 
 #: Sensors of a row drawn as points; more are drawn as an outline of their distribution.
 _MOST_POINTS: Final = 150
 _BINS: Final = 40
+_POINTS: Final = 300  #: of a density
 _MARK_IN: Final = 0.34
 #: Width of the names beside rows.
 _MOST_LETTERS: Final = 18
@@ -59,6 +64,27 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
     lacking = 0.0 if box is None else (_LEAST_LEFT_IN * figure.dpi - box.x0) / figure.bbox.width
     if lacking > 0:
         axes.set_position((0.22 + lacking, 0.42 / height, 0.75 - lacking, 1 - 0.5 / height))
+    return figure
+
+
+@draw_svg
+def fitted_histogram(label: str, values: Array, fit: FamilyFit, lower: float | None, upper: float | None) -> Canvas:
+    """Draw values (n,), the density of the distribution fitted to them, and the limits as ``<svg>``."""
+    figure = canvas(2.2)
+    axes = figure.add_axes((0.1, 0.2, 0.88, 0.75))
+    light_grid(axes)
+    axes.hist(values, min(_BINS, max(8, round(2 * len(values) ** (1 / 3)))), density=True, color=FAINT)
+    family = FAMILIES[fit.family]
+    parameters = np.array(list(fit.parameters.values()))[:, None]
+    ends = [float(family.quantile(parameters, share)[0]) for share in (SHARES[0], SHARES[-1])]
+    points = np.linspace(min(ends[0], values.min()), max(ends[1], values.max()), _POINTS)
+    share_below = family.share_below(parameters, points[None])[0]
+    axes.plot(0.5 * (points[1:] + points[:-1]), np.diff(share_below) / np.diff(points), color=INK, linewidth=1.2)
+    for limit in (lower, upper):
+        if limit is not None:
+            axes.axvline(limit, color=VERMILION, linewidth=1.0, linestyle="--")
+    axes.set_xlabel(label)
+    axes.set_ylabel("density")
     return figure
 
 

@@ -6,6 +6,9 @@ from enum import StrEnum
 from math import isfinite
 
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.numbers import did_you_mean
+from cbsr_qa.stats.fitted_capability import BEST
+from cbsr_qa.stats.fitted_families import FAMILIES
 
 
 class By(StrEnum):
@@ -60,6 +63,7 @@ class Terms:
     names : metrics to compare; empty for all.
     margins, detect : name of a metric → difference that does not matter, or for which the number of sensors is
         computed.
+    distributions : name of a metric → family that is fitted for its capability; "" for all others.
     power : power for which numbers of sensors are computed.
     """
 
@@ -72,6 +76,7 @@ class Terms:
     adjustment: Adjustment = Adjustment.HOLM
     margins: Mapping[str, float] = field(default_factory=dict)
     detect: Mapping[str, float] = field(default_factory=dict)
+    distributions: Mapping[str, str] = field(default_factory=dict)
     confidence: float = 0.95
     power: float = 0.8
 
@@ -79,6 +84,10 @@ class Terms:
     def level(self) -> float:
         """Significance level of tests."""
         return 1 - self.confidence
+
+    def distribution_of(self, metric: str) -> str | None:
+        """Return the name of the family to fit to a metric; None for none."""
+        return self.distributions.get(metric, self.distributions.get(""))
 
 
 def read_groups(text: str | None) -> tuple[str, ...]:
@@ -121,3 +130,25 @@ def read_amounts(pairs: Sequence[str], option: str) -> dict[str, float]:
             raise RefusedError(f"{option} states {name[:64]!r} twice", remedy="state one value of each metric")
         amounts[name] = value
     return amounts
+
+
+def read_distributions(names: Sequence[str]) -> dict[str, str]:
+    """Read ``NAME`` for all metrics, or ``METRIC=NAME`` for one; the key of the former is empty.
+
+    RefusedError if a name is not known, or a metric is repeated.
+    """
+    families: dict[str, str] = {}
+    allowed = [BEST, *FAMILIES]
+    for entry in names:
+        metric, _, family = entry.rpartition("=")
+        if family not in allowed:
+            nearest = did_you_mean(family, allowed)
+            raise RefusedError(
+                f"--distribution {entry[:80]!r} is not known",
+                remedy=f"{nearest} allowed: {', '.join(allowed)}, for one metric METRIC=NAME".lstrip(),
+            )
+        if metric in families:
+            of = f"states {metric[:64]!r}" if metric else "is stated for all metrics"
+            raise RefusedError(f"--distribution {of} twice", remedy="name one distribution for each metric")
+        families[metric] = family
+    return families
