@@ -148,7 +148,8 @@ class GaugeAnova(Variation):
     table : F of sensor and appraiser is against the interaction, or where that is pooled against the pooled mean
         square, which is the last row.
     interaction_pooled : whether the interaction is part of repeatability.
-    appraiser_variance, interaction_variance : the two parts of reproducibility; the second is None where pooled.
+    appraiser_variance, interaction_variance : the two parts of reproducibility; the second is None where pooled, and
+        in a nested study.
     gauge_percent_contribution_interval : interval of the gauge's share of the total variance [%].
     categories_interval : interval of the uncut number of categories.
     """
@@ -236,7 +237,7 @@ def _table(study: Study) -> dict[Source, Row]:
     inner, trial = (squares[source] for source in (Source.INTERACTION, Source.TRIAL))
     against = {Source.STATION: inner, Source.SENSOR: inner, Source.INTERACTION: trial, Source.TRIAL: None}
     names = {source: str(source).replace(str(Source.STATION), study.appraiser) for source in Source}
-    return {source: _row(names[source], *squares[source], below) for source, below in against.items()}
+    return {source: make_row(names[source], *squares[source], below) for source, below in against.items()}
 
 
 def _pool_table(rows: dict[Source, Row]) -> tuple[Row, ...]:
@@ -245,13 +246,14 @@ def _pool_table(rows: dict[Source, Row]) -> tuple[Row, ...]:
     squares = inner.sum_of_squares + trial.sum_of_squares
     freedom = inner.degrees_of_freedom + trial.degrees_of_freedom
     station, sensor = (
-        _row(row.source, row.sum_of_squares, row.degrees_of_freedom, (squares, freedom))
+        make_row(row.source, row.sum_of_squares, row.degrees_of_freedom, (squares, freedom))
         for row in (rows[Source.STATION], rows[Source.SENSOR])
     )
-    return station, sensor, inner, trial, _row(Source.POOLED, squares, freedom, None)
+    return station, sensor, inner, trial, make_row(Source.POOLED, squares, freedom, None)
 
 
-def _row(source: str, squares: float, freedom: int, below: tuple[float, int] | None) -> Row:
+def make_row(source: str, squares: float, freedom: int, below: tuple[float, int] | None) -> Row:
+    """Return a row of the table; ``below`` are sum of squares and freedom that F is against, None without F."""
     mean_square = squares / freedom
     if below is None or below[0] == 0:
         return Row(source, squares, freedom, mean_square, None, None)
