@@ -49,6 +49,13 @@ def gauge(
             "--largest-balanced", help="If some sensors were not tested everywhere, use the largest complete part."
         ),
     ] = False,
+    nested: Annotated[
+        str | None,
+        typer.Option(
+            metavar="PART",
+            help="Each station or operator has parts of its own: sensor, or batch if the test destroys sensors.",
+        ),
+    ] = None,
     reference: Annotated[
         list[str] | None,
         typer.Option(
@@ -63,7 +70,7 @@ def gauge(
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
-    """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once.
+    """Gauge R&R of stored runs: every sensor on every station (or by every operator), more than once; or nested.
 
     Describe the study (sensors, stations, metrics, tolerances, days) in STUDY.toml or by options.
     """
@@ -92,6 +99,7 @@ def gauge(
             by_location=by_location,
             appraiser=appraiser,
             largest_balanced=largest_balanced,
+            nested=nested,
             references=references_of(reference or ()),
             confidence=confidence / 100,
         )

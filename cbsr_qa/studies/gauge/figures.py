@@ -1,4 +1,4 @@
-"""The six usual panels of a gauge study (AIAG MSA 4th edition, chapter III)."""
+"""The panels of a gauge study, six of a crossed and five of a nested one (AIAG MSA 4th edition, chapter III)."""
 
 from collections.abc import Sequence
 from math import ceil, sqrt
@@ -12,6 +12,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.report.draw.style import BLUE, CYCLE, FAINT, QUIET, VERMILION, canvas, draw_svg, light_grid
 from cbsr_qa.report.tables import unit_column
 from cbsr_qa.stats.gauge.crossed_study import Components, Study
+from cbsr_qa.stats.gauge.nested import NestedStudy
 from cbsr_qa.stats.nelson import d2_d3
 
 #: Number of names that fit side by side along an axis.
@@ -22,20 +23,28 @@ _LEGEND_ROW_IN: Final = 0.15
 
 
 @draw_svg
-def six_panels(study: Study, components: Components, unit: str) -> Canvas:
-    """Draw components, values by sensor and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
-    legend_rows = ceil(len(study.stations) / _LEGEND_COLUMNS) if len(study.stations) <= _MAX_NAMES else 0
+def draw_panels(study: Study | NestedStudy, components: Components, unit: str) -> Canvas:
+    """Draw components, values by part and appraiser, interaction, and charts of ranges and means (``<svg>``)."""
+    has_legend = isinstance(study, Study) and len(study.stations) <= _MAX_NAMES
+    legend_rows = ceil(len(study.stations) / _LEGEND_COLUMNS) if has_legend else 0
     figure, axes = _panels(_LEGEND_ROW_IN * legend_rows)
     appraiser, values = study.appraiser, study.values
-    _components(axes[0], components)
-    axes[1].set_title("by sensor")
-    _dots(axes[1], values, study.sensors)
+    if isinstance(study, Study):
+        part, names, by_part = "sensor", study.sensors, values
+        _interaction(axes[5], study)
+    else:
+        part, names, by_part = study.part, study.parts, values.swapaxes(0, 1)
+        axes[5].remove()
+        axes = axes[:5]
+    _components(axes[0], components, "batches" if part == "batch" else "sensors")
+    axes[1].set_title(f"by {part}")
+    _dots(axes[1], by_part, names)
     _ranges(axes[2], study)
     axes[3].set_title(f"by {appraiser}")
     _dots(axes[3], values.swapaxes(0, 1), study.stations)
     _means(axes[4], study)
-    _interaction(axes[5], study)
-    for panel, name in zip(axes, ("share", "each run", "range", "each run", "mean", "mean"), strict=True):
+    names_of_values = ("share", "each run", "range", "each run", "mean", "mean")
+    for panel, name in zip(axes, names_of_values[: len(axes)], strict=True):
         panel.set_ylabel(unit_column(name, "%" if name == "share" else unit))
     return figure
 
@@ -49,7 +58,7 @@ def _panels(below: float) -> tuple[Canvas, list[Axes]]:
     return figure, [figure.add_subplot(grid[row, column]) for row in range(3) for column in range(2)]
 
 
-def _components(axes: Axes, components: Components) -> None:
+def _components(axes: Axes, components: Components, parts: str) -> None:
     shares = (components.gauge, components.repeatability, components.reproducibility, components.sensor)
     bars = [("of the variance", [share.percent_contribution for share in shares])]
     bars.append(("of study variation", [share.percent_study for share in shares]))
@@ -60,7 +69,7 @@ def _components(axes: Axes, components: Components) -> None:
     for row, (name, heights) in enumerate(bars):
         x_positions = np.arange(len(shares)) + (row - (len(bars) - 1) / 2) * width
         axes.bar(x_positions, heights, 0.92 * width, color=CYCLE[row], label=name)
-    axes.set_xticks(range(len(shares)), ["gauge R&R", "repeat.", "reprod.", "sensors"])
+    axes.set_xticks(range(len(shares)), ["gauge R&R", "repeat.", "reprod.", parts])
     axes.set_title("components")
     _legend_below(axes, 0.24)
 
@@ -75,7 +84,7 @@ def _dots(axes: Axes, values: Array, names: Sequence[str]) -> None:
     _names(axes, names)
 
 
-def _ranges(axes: Axes, study: Study) -> None:
+def _ranges(axes: Axes, study: Study | NestedStudy) -> None:
     ranges = np.ptp(study.values, axis=2)
     d2, d3 = d2_d3(study.shape[2])
     mean = float(ranges.mean())
@@ -85,7 +94,7 @@ def _ranges(axes: Axes, study: Study) -> None:
     axes.set_ylim(bottom=0)
 
 
-def _means(axes: Axes, study: Study) -> None:
+def _means(axes: Axes, study: Study | NestedStudy) -> None:
     means = study.values.mean(axis=2)
     d2, _ = d2_d3(study.shape[2])
     half_width = 3 * float(np.ptp(study.values, axis=2).mean()) / (d2 * sqrt(study.shape[2]))
@@ -94,7 +103,7 @@ def _means(axes: Axes, study: Study) -> None:
     _cells(axes, means, study, mean, mean - half_width, mean + half_width)
 
 
-def _cells(axes: Axes, table: np.ndarray, study: Study, centre: float, low: float, high: float) -> None:
+def _cells(axes: Axes, table: np.ndarray, study: Study | NestedStudy, centre: float, low: float, high: float) -> None:
     """Draw one statistic of each cell, by appraiser and then sensor, with limits."""
     count = study.shape[0]
     for column, name in enumerate(study.stations):

@@ -1,6 +1,7 @@
 """Report of a gauge study: one section per metric, with grades, tables and the six panels."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import replace
 from math import sqrt
 from typing import Final
 
@@ -35,16 +36,29 @@ _PARTS: Final = (
 )
 _NONE: Final = "–"
 
-_READING: Final = (
+_PARTS_OF_VARIATION: Final = (
     "Sensors differ, and so do measurements of one sensor: from run to run (repeatability), and from one station or "
     "operator to another (reproducibility). Both together are the gauge. A gauge that varies as much as the sensors "
-    "cannot distinguish them; one that varies as much as the limits are apart passes and fails sensors by chance.",
+    "cannot distinguish them; one that varies as much as the limits are apart passes and fails sensors by chance."
+)
+_BANDS: Final = (
+    f"Bands are AIAG's (Measurement Systems Analysis, 4th edition): good below {_GOOD_PERCENT:g} %, not good enough "
+    f"above {_POOR_PERCENT:g} % of study variation or tolerance, at least {_LEAST_CATEGORIES} distinct categories."
+)
+_CROSSED: Final = (
     "Each value is the mean over the loads of a run. Components come from an analysis of variance with random "
     "effects; an interaction of sensor and station with p above 0.25 is pooled into repeatability. The column "
     "'by ranges' uses the older method of averages and ranges, which ignores the interaction and has no intervals. "
-    "Both follow AIAG, Measurement Systems Analysis, 4th edition. Its bands are: good below "
-    f"{_GOOD_PERCENT:g} %, not good enough above {_POOR_PERCENT:g} % of study variation or tolerance, and at least "
-    f"{_LEAST_CATEGORIES} distinct categories.",
+    f"{_BANDS}"
+)
+_NESTED: Final = (
+    "The study is nested: each {appraiser} measured parts of its own. Each value is the mean over the loads of a "
+    "run. Components come from an analysis of variance with random effects. Only statistics tell how {appraiser}s "
+    f"differ from how their parts do: use parts that are as alike as can be. {_BANDS}"
+)
+_DESTROYED: Final = (
+    "A batch counts as one part, and its sensors as repeated runs. The repeatability includes how its sensors "
+    "differ, so the gauge itself repeats at least as well as shown."
 )
 
 # Sentences, in reading order.
@@ -56,13 +70,15 @@ _TOLERANCE: Final = (
     "Six standard deviations of the gauge take {share}{inside} of the {of}'s tolerance of {width}: {grade}."
 )
 _NO_TOLERANCE: Final = "Without a lower and an upper limit there is no tolerance to compare the gauge with."
-_CATEGORIES: Final = "It distinguishes {count} of sensors (interval {inside}); at least {least} are needed."
+_CATEGORIES: Final = "It distinguishes {count} of {of} (interval {inside}); at least {least} are needed."
 _LARGEST: Final = "The largest part is {name}: standard deviation {deviation}, {share} of the gauge's variance."
 
 
 def gauge_outcome(study: GaugeStudy) -> CommandOutcome[GaugeStudy]:
     """Lay a study out."""
-    sections = [Section("How to read this page", tuple(map(Paragraph, _READING)), page_only=True)]
+    method = _CROSSED if study.nested is None else _NESTED.format(appraiser=study.appraiser)
+    reading = (_PARTS_OF_VARIATION, method, *([_DESTROYED] if study.nested == "batch" else []))
+    sections = [Section("How to read this page", tuple(map(Paragraph, reading)), page_only=True)]
     sections += [
         Section(unit_column(capital(metric.title), metric.unit), tuple(_blocks(metric, study)))
         for metric in study.metrics
@@ -119,9 +135,9 @@ def _blocks(metric: MetricGauge, study: GaugeStudy) -> Iterator[Block]:
         yield Paragraph(f"No study: {metric.why}{uneven}.", "warning")
     else:
         yield from (Paragraph(text) for text in _sentences(metric, study))
-        yield _figure(metric, study.appraiser)
-        yield _components(metric, study.confidence)
-        yield _anova(metric)
+        yield _figure(metric, study)
+        yield _components(metric, study)
+        yield _anova(metric, nested=study.nested is not None)
         if metric.missing:
             yield Paragraph(f"Uneven: {list_names(metric.missing)}.", "note")
     yield from (Paragraph(f"{capital(note)}.", "note") for note in metric.notes)
@@ -154,7 +170,7 @@ def _sentences(metric: MetricGauge, study: GaugeStudy) -> Iterator[str]:
     if metric.anova.categories is not None:
         count = plural(metric.anova.categories, "category", "categories")
         categories_range = _ends(metric.anova.categories_interval, 2)
-        yield _CATEGORIES.format(count=count, inside=categories_range, least=_LEAST_CATEGORIES)
+        yield _CATEGORIES.format(count=count, of=_parts(study), inside=categories_range, least=_LEAST_CATEGORIES)
         yield _largest(metric, study.appraiser)
     yield from (f"{capital(note)}." for note in metric.anova.notes)
 
@@ -172,53 +188,62 @@ def _largest(metric: MetricGauge, appraiser: str) -> str:
     return _LARGEST.format(name=name, deviation=_with_unit(sqrt(variance), metric.unit), share=share)
 
 
-def _figure(metric: MetricGauge, appraiser: str) -> Figure:
+def _figure(metric: MetricGauge, study: GaugeStudy) -> Figure:
+    part = study.nested or "sensor"
+
     def draw() -> str:
         # loads matplotlib
-        from cbsr_qa.studies.gauge.figures import six_panels
+        from cbsr_qa.studies.gauge.figures import draw_panels
 
         assert metric.crossing is not None
         assert metric.anova is not None
-        return six_panels(metric.crossing, metric.anova.components, metric.unit)
+        return draw_panels(metric.crossing, metric.anova.components, metric.unit)
 
     caption = (
-        f"Where the variation of {metric.title} comes from: shares of the components; every run by sensor and by "
-        f"{appraiser}, with means; ranges of repeated runs, where a point beyond the limit repeats worse than the "
-        "rest; means against limits of repeatability, most of which lie outside where the gauge tells sensors apart; "
-        f"and means of each sensor by {appraiser}, whose lines cross where there is an interaction."
+        f"Where the variation of {metric.title} comes from: shares of the components; every run by {part} and by "
+        f"{study.appraiser}, with means; ranges of repeated runs, where a point beyond the limit repeats worse than "
+        f"the rest; means against limits of repeatability, most of which lie outside where the gauge tells "
+        f"{_parts(study)} apart"
     )
-    return Figure(caption, f"Six panels of the gauge study of {metric.title}; the table has the components.", draw)
+    if study.nested is None:
+        caption += f"; and means of each sensor by {study.appraiser}, whose lines cross where there is an interaction"
+    return Figure(f"{caption}.", f"Panels of the gauge study of {metric.title}; the table has the components.", draw)
 
 
-def _components(metric: MetricGauge, confidence: float) -> Table:
+def _parts(study: GaugeStudy) -> str:
+    return "batches" if study.nested == "batch" else "sensors"
+
+
+def _components(metric: MetricGauge, study: GaugeStudy) -> Table:
     assert metric.anova is not None
-    assert metric.average_range is not None
-    rows = []
+    rows: list[tuple[str, ...]] = []
     for label, name in _PARTS:
         component = getattr(metric.anova.components, name)
         interval = component.variance_interval
-        rows.append(
-            (
-                label,
-                number(component.deviation),
-                _ends(Interval(sqrt(interval.low), sqrt(interval.high), interval.confidence)) if interval else _NONE,
-                _percent(component.percent_contribution),
-                _percent(component.percent_study),
-                _NONE if component.percent_tolerance is None else _percent(component.percent_tolerance),
-                number(getattr(metric.average_range.components, name).deviation),
-            )
+        row: tuple[str, ...] = (
+            _parts(study) if name == "sensor" else label,
+            number(component.deviation),
+            _ends(Interval(sqrt(interval.low), sqrt(interval.high), interval.confidence)) if interval else _NONE,
+            _percent(component.percent_contribution),
+            _percent(component.percent_study),
+            _NONE if component.percent_tolerance is None else _percent(component.percent_tolerance),
         )
-    share_columns = ("of variance", "of study variation", "of tolerance", "by ranges")
+        if metric.average_range is not None:
+            row += (number(getattr(metric.average_range.components, name).deviation),)
+        rows.append(row)
     columns = (
         "component",
         unit_column("standard deviation", metric.unit),
-        f"{100 * confidence:g} % interval",
-        *share_columns,
+        f"{100 * study.confidence:g} % interval",
+        "of variance",
+        "of study variation",
+        "of tolerance",
+        *(["by ranges"] if metric.average_range is not None else []),
     )
-    return text_table("Components of variation.", columns, rows, range(1, 7))
+    return text_table("Components of variation.", columns, rows, range(1, len(columns)))
 
 
-def _anova(metric: MetricGauge) -> Table:
+def _anova(metric: MetricGauge, *, nested: bool) -> Table:
     assert metric.anova is not None
     rows = [
         (
@@ -232,9 +257,9 @@ def _anova(metric: MetricGauge) -> Table:
         for row in metric.anova.table
     ]
     pooled = "pooled into repeatability" if metric.anova.interaction_pooled else "kept"
+    caption = "Nested analysis of variance." if nested else f"Analysis of variance; the interaction is {pooled}."
     columns = ("source", "degrees of freedom", "sum of squares", "mean square", "F", "p")
-    table = text_table(f"Analysis of variance; the interaction is {pooled}.", columns, rows, range(1, 6))
-    return Table(table.caption, table.columns, table.rows, table.numeric, folded=True)
+    return replace(text_table(caption, columns, rows, range(1, 6)), folded=True)
 
 
 def _ends(interval: Interval, digits: int = 3) -> str:

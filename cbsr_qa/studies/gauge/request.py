@@ -25,6 +25,8 @@ from cbsr_qa.system.words import KeyPath, echo, format_key_path
 
 #: Possible appraisers.
 APPRAISERS = ("station", "operator")
+#: What may be nested in the appraiser: sensors, or batches whose sensors a test destroys.
+NESTED = ("sensor", "batch")
 _EVERY: Final = RunSelection()
 
 
@@ -82,6 +84,7 @@ class GaugeRequest:
     by_location : True for one study per location, False for one study of the mean over all.
     appraiser : ``"station"`` or ``"operator"``.
     largest_balanced : use the largest balanced part of an incomplete crossing.
+    nested : what each appraiser has parts of its own of, ``"sensor"`` or ``"batch"``; None for a crossed study.
     references : true values of golden sensors.
     source : the file this was read from; None for options.
     """
@@ -91,6 +94,7 @@ class GaugeRequest:
     by_location: bool = False
     appraiser: str = "station"
     largest_balanced: bool = False
+    nested: str | None = None
     references: tuple[ReferenceValue, ...] = ()
     confidence: float = 0.95
     source: StudySource | None = None
@@ -105,10 +109,18 @@ class GaugeRequest:
     def check(self) -> None:
         """Check the request before anything is read.
 
-        RefusedError if no runs are selected, or the appraiser or the confidence is not allowed.
+        RefusedError if no runs are selected, the appraiser, the nested part or the confidence is not allowed, or a
+        nested study is to be balanced.
         """
         if self.appraiser not in APPRAISERS:
             raise RefusedError(f"--appraiser is {echo(self.appraiser)}", remedy=f"allowed: {', '.join(APPRAISERS)}")
+        if self.nested is not None and self.nested not in NESTED:
+            raise RefusedError(f"--nested is {echo(self.nested)}", remedy=f"allowed: {', '.join(NESTED)}")
+        if self.nested is not None and self.largest_balanced:
+            raise RefusedError(
+                "--largest-balanced is for crossed studies, and this one is nested",
+                remedy="choose the sensors of a balanced study by --serials",
+            )
         if not 0.5 < self.confidence < 1:
             raise RefusedError(
                 f"confidence is {100 * self.confidence:g} %",
@@ -137,6 +149,7 @@ class StudyTable(Table):
     appraiser: Literal["station", "operator"] = "station"
     by_location: bool = False
     largest_balanced: bool = False
+    nested: Literal["sensor", "batch"] | None = None
     confidence_percent: float = 95.0
 
     def problems(self) -> Iterator[Problem]:
@@ -144,6 +157,9 @@ class StudyTable(Table):
             yield Problem(("study", "name"), "has characters that cannot be printed; give one line")
         if self.recipe is None and self.serials is None:
             yield Problem(("study",), "has neither recipe nor serials; give one of them, or both")
+        if self.nested and self.largest_balanced:
+            problem = "is true in a nested study; it is for crossed ones"
+            yield Problem(("study", "largest_balanced"), problem)
         if not 50 < self.confidence_percent < 100:
             problem = f"is {self.confidence_percent:g}; allowed: above 50 and below 100, in per cent (95 for 95 %)"
             yield Problem(("study", "confidence_percent"), problem)

@@ -20,6 +20,7 @@ from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.stats.gauge.anova import GaugeAnova, gauge_anova
 from cbsr_qa.stats.gauge.balance import largest_balanced, missing_runs
 from cbsr_qa.stats.gauge.crossed_study import GaugeRange, Study, gauge_range, on, study
+from cbsr_qa.stats.gauge.nested import NestedStudy, nested_anova, nested_study, uneven_parts
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.gauge.metrics import Toleranced, choose_metrics
@@ -96,8 +97,10 @@ class MetricGauge:
     ----------
     tolerance, tolerance_of : the width that the gauge is compared with, of the ``"study"`` or the ``"recipe"``.
     runs : number of runs with a value.
-    missing : missing and surplus runs of a balanced crossing, in words.
+    missing : missing and surplus runs of a balanced study, in words.
     why : reason for a missing study; ``sensors`` to ``average_range`` are then None.
+    sensors : the parts; batches where these are nested.
+    average_range : None for a nested study too, of which the method has none.
     crossing : the studied values, for the figure.
     """
 
@@ -120,7 +123,7 @@ class MetricGauge:
     trials: int | None = None
     anova: GaugeAnova | None = None
     average_range: GaugeRange | None = None
-    crossing: Annotated[InstanceOf[Study] | None, Field(exclude=True)] = None
+    crossing: Annotated[InstanceOf[Study] | InstanceOf[NestedStudy] | None, Field(exclude=True)] = None
 
     @property
     def title(self) -> str:
@@ -146,6 +149,7 @@ class GaugeStudy:
     until: date | None
     by_location: bool
     largest_balanced: bool
+    nested: str | None
     recipe: str
     sensors: tuple[str, ...]
     stations: tuple[str, ...]
@@ -175,7 +179,7 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
         notes += (f"calibrations were made in several ways, which a scatter may come from: {several}",)
     metrics = tuple(_metric(toleranced, request) for toleranced in chosen_metrics)
     sensors = tuple(sorted({line.serial for line in lines}))
-    _check_any(metrics, sensors, largest_balanced=request.largest_balanced)
+    _check_any(metrics, sensors, request)
     return fill_from_object(
         GaugeStudy,
         request,
@@ -196,10 +200,14 @@ def gauge(request: GaugeRequest, *, database: str | None = None) -> GaugeStudy:
 
 def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
     series, key = wanted.series, wanted.series.key
-    sensors = [line.serial for line in series.lines]
     appraisers = [appraiser_of(line, request.appraiser) for line in series.lines]
-    why = _never_repeated(sensors, appraisers, request.appraiser)
-    missing_cells = () if why else missing_runs(sensors, appraisers, request.appraiser)
+    if request.nested is not None:
+        sensors = [line.batch if request.nested == "batch" else line.serial for line in series.lines]
+        why, missing_cells = "", uneven_parts(sensors, appraisers, request.nested, request.appraiser)
+    else:
+        sensors = [line.serial for line in series.lines]
+        why = _never_repeated(sensors, appraisers, request.appraiser)
+        missing_cells = () if why else missing_runs(sensors, appraisers, request.appraiser)
     unstudied = fill_from_object(
         MetricGauge,
         key,
@@ -246,6 +254,16 @@ def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], req
     if not rows:
         raise NumericsError("none of these runs has a value of it")
     sensors, appraisers, values = zip(*rows, strict=True)
+    if request.nested is not None:
+        nesting = nested_study(sensors, appraisers, values, part=request.nested, appraiser=request.appraiser)
+        return replace(
+            bare,
+            sensors=nesting.parts,
+            appraisers=nesting.stations,
+            trials=nesting.shape[2],
+            anova=nested_anova(nesting, tolerance=bare.tolerance, confidence=request.confidence),
+            crossing=nesting,
+        )
     for noun, names in (("sensor", set(sensors)), (request.appraiser, set(appraisers))):
         if len(names) < 2:
             raise NumericsError(f"there is only one {noun}, {names.pop()}")
@@ -261,7 +279,7 @@ def _study_metric(bare: MetricGauge, rows: Sequence[tuple[str, str, float]], req
     )
 
 
-def _check_any(metrics: Sequence[MetricGauge], sensors: Sequence[str], *, largest_balanced: bool) -> None:
+def _check_any(metrics: Sequence[MetricGauge], sensors: Sequence[str], request: GaugeRequest) -> None:
     if any(metric.anova is not None or metric.references is not None for metric in metrics):
         return
     first_metric = metrics[0]
@@ -271,9 +289,11 @@ def _check_any(metrics: Sequence[MetricGauge], sensors: Sequence[str], *, larges
     if len(metrics) > 1:
         others = "other metric" if len(metrics) == 2 else f"other {len(metrics) - 1} metrics"
         reason += f"\nthe {others} cannot be studied either"
-    is_uneven = any(metric.missing for metric in metrics) and not largest_balanced
+    is_uneven = any(metric.missing for metric in metrics) and not request.largest_balanced
     remedy = "a study needs two sensors, on two stations (or by two operators), twice each, that differ"
-    if is_uneven:
+    if request.nested is not None:
+        remedy = f"a nested study needs two {request.appraiser}s, two parts that only it measures of each, twice each"
+    elif is_uneven:
         remedy = "add the missing runs, or study the largest balanced part with --largest-balanced"
     if len(sensors) == 1:
         true_value = f"'{sensors[0]}.{first_metric.name}=VALUE±U {first_metric.unit}'"

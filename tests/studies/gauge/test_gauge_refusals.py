@@ -117,7 +117,7 @@ def test_legends_cover_no_panel_and_every_panel_has_its_axis_named(monkeypatch):
     keep = figures.canvas
     monkeypatch.setattr(figures, "canvas", lambda height: drawn.append(keep(height)) or drawn[-1])
     study = expected()
-    figures.six_panels(study, gauge_anova(study, tolerance=LIMIT.upper - LIMIT.lower).components, "N/V")
+    figures.draw_panels(study, gauge_anova(study, tolerance=LIMIT.upper - LIMIT.lower).components, "N/V")
     (figure,) = drawn
     renderer = figure.canvas.get_renderer() if hasattr(figure.canvas, "get_renderer") else None
     panels = [axes.get_window_extent() for axes in figure.axes]
