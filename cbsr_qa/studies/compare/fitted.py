@@ -20,7 +20,9 @@ _CAPABILITY: Final = (
 )
 _NOT_FITTED: Final = "{metric}, {groups}: no distribution was fitted: {why}."
 _COMPARED: Final = "{metric}, {group}: distributions, the best first; less A² and AIC fit better."
-_HISTOGRAM: Final = "{metric}, {group}: {count} values, the {family} distribution fitted to them, and the limits."
+_HISTOGRAM: Final = (
+    "{metric}, {group}: {count} values, the {family} distribution fitted to them, and the limits (dashed)."
+)
 _REFUTED: Final = "{metric}, {group}: the values refute the {family} distribution (p: {p}); do not use its indices."
 
 
