@@ -1,8 +1,8 @@
 """How often intervals of a nested gauge study hold the truth.
 
-``python -m benchmarks.nested_gauge --studies 2000`` simulates studies of 5 parts of each of 4 appraisers, 2 runs each,
-with deviations of appraisers, parts and runs, and prints the share of 95 % intervals that hold of each variance and of
-the gauge's share of the total.
+``python -m benchmarks.nested_gauge --studies 2000`` simulates studies of 5 parts of each of 4 appraisers, 2 runs
+each, with deviations of appraisers, parts and runs, and prints the share of 95 % intervals that hold, of each
+variance and of the gauge's share of the total.
 """
 
 import os

@@ -53,7 +53,7 @@ def gauge(
         str | None,
         typer.Option(
             metavar="PART",
-            help="Each station or operator has parts of its own: sensor, or batch if the test destroys sensors.",
+            help="Each station or operator has its own parts: sensor, or batch if the test destroys sensors.",
         ),
     ] = None,
     reference: Annotated[

@@ -52,7 +52,7 @@ _CROSSED: Final = (
     f"{_BANDS}"
 )
 _NESTED: Final = (
-    "The study is nested: each {appraiser} measured parts of its own. Each value is the mean over the loads of a "
+    "The study is nested: each {appraiser} measured its own parts. Each value is the mean over the loads of a "
     "run. Components come from an analysis of variance with random effects. Only statistics tell how {appraiser}s "
     f"differ from how their parts do: use parts that are as alike as can be. {_BANDS}"
 )

@@ -84,7 +84,7 @@ class GaugeRequest:
     by_location : True for one study per location, False for one study of the mean over all.
     appraiser : ``"station"`` or ``"operator"``.
     largest_balanced : use the largest balanced part of an incomplete crossing.
-    nested : what each appraiser has parts of its own of, ``"sensor"`` or ``"batch"``; None for a crossed study.
+    nested : each appraiser's own parts, ``"sensor"`` or ``"batch"``; None for a crossed study.
     references : true values of golden sensors.
     source : the file this was read from; None for options.
     """
