@@ -1,0 +1,1 @@
+"""Expanded uncertainties of a calibrated sensor, by the GUM (JCGM 100)."""

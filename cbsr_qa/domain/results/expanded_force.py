@@ -1,0 +1,137 @@
+"""Forces with expanded uncertainties, and the budgets that they come from (JCGM 100, 6 and 7)."""
+
+from dataclasses import dataclass
+from math import hypot, inf
+
+
+@dataclass(frozen=True, slots=True)
+class BudgetComponent:
+    """One input of a budget.
+
+    Parameters
+    ----------
+    name : input, e.g. ``"load cell"``.
+    kind : ``"A"`` if it was evaluated by statistics of observations, ``"B"`` otherwise (JCGM 100, 3.3.4).
+    contribution : c u(x), sensitivity times standard uncertainty, in the measurand's unit; its sign counts where
+        shared inputs of several results are combined.
+    dof : degrees of freedom of u(x); infinite if it is taken as known.
+    share : share of the combined variance.
+    source : where the number is from.
+    shared : whether all results of the calibration have the same error of this input.
+    """
+
+    name: str
+    kind: str
+    contribution: float
+    dof: float
+    share: float
+    source: str
+    shared: bool = False
+
+    @property
+    def standard_uncertainty(self) -> float:
+        """|c| u(x), in the measurand's unit."""
+        return abs(self.contribution)
+
+
+@dataclass(frozen=True, slots=True)
+class MonteCarlo:
+    """Distribution of a result by propagated random numbers (JCGM 101).
+
+    Parameters
+    ----------
+    trials : number of trials.
+    standard_uncertainty : standard deviation of the trials' results.
+    low, high : interval of 95 % with equal tails (JCGM 101, 7.7.2, in units of the result).
+    why : what bends the model, so that the law of propagation alone is not enough.
+    """
+
+    trials: int
+    standard_uncertainty: float
+    low: float
+    high: float
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class Budget:
+    """Combined and expanded uncertainty of a result, in the measurand's unit.
+
+    Parameters
+    ----------
+    standard_uncertainty : combined standard uncertainty u_c (JCGM 100, 5.1.2).
+    dof : effective degrees of freedom (JCGM 100, G.4.1), not truncated; infinite if every input's are.
+    k : coverage factor of 95 %: Student's t of ``dof`` truncated (JCGM 100, G.4.1 and G.6.4).
+    components : inputs in the sum, by falling share.
+    not_stated : inputs that nothing gives a number for; they are not in the sum.
+    """
+
+    standard_uncertainty: float
+    dof: float
+    k: float
+    components: tuple[BudgetComponent, ...]
+    not_stated: tuple[str, ...] = ()
+
+    @property
+    def expanded(self) -> float:
+        """U = k u_c."""
+        return self.k * self.standard_uncertainty
+
+    @property
+    def shared_uncertainty(self) -> float:
+        """Combined standard uncertainty of the shared inputs, which does not average out."""
+        return hypot(*(component.contribution for component in self.components if component.shared))
+
+
+@dataclass(frozen=True, slots=True)
+class ExpandedForce:
+    """A force of one settled load at a stated place, with its expanded uncertainty for 95 %.
+
+    Parameters
+    ----------
+    place_mm : (x, y) from the sheet's centre.
+    force_N : stated force.
+    settling_s : time after the press's ramp for which it is stated.
+    budget : uncertainty [N].
+    monte_carlo : distribution by random numbers where the model bends; None where it does not.
+    """
+
+    place_mm: tuple[float, float]
+    force_N: float
+    settling_s: float
+    budget: Budget
+    monte_carlo: MonteCarlo | None = None
+
+    @property
+    def standard_uncertainty_N(self) -> float:
+        """Combined standard uncertainty."""
+        return self.budget.standard_uncertainty
+
+    @property
+    def U_N(self) -> float:
+        """Expanded uncertainty."""
+        return self.budget.expanded
+
+    @property
+    def k(self) -> float:
+        """Coverage factor."""
+        return self.budget.k
+
+    @property
+    def dof(self) -> float:
+        """Effective degrees of freedom; infinite if every input's are."""
+        return self.budget.dof
+
+    @property
+    def components(self) -> tuple[BudgetComponent, ...]:
+        """Inputs in the sum."""
+        return self.budget.components
+
+    @property
+    def not_stated(self) -> tuple[str, ...]:
+        """Inputs that nothing gives a number for."""
+        return self.budget.not_stated
+
+
+#: Degrees of freedom of an uncertainty that is taken as known (JCGM 100, G.4.3).
+KNOWN = inf
