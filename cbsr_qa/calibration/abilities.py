@@ -10,8 +10,9 @@ from cbsr_qa.calibration.force.inverse import ForceInverse, least_force_N, map_t
 from cbsr_qa.calibration.force.shared_error import SharedError
 from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter
 from cbsr_qa.calibration.force.validity import batch_words
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.plan.standards import describe_force_error
+from cbsr_qa.domain.plan.standards import StandardRole, describe_force_error, find_standard
 from cbsr_qa.domain.results.calibration import Calibration, ForceModel, SettlingSummary
 
 #: Half of a normal interval of 95 %, in standard errors.
@@ -96,7 +97,29 @@ def _describe_force(calibration: Calibration) -> Iterator[str]:
             f" ± {worst_N:.2g} N), for one settled load at a known place. These errors"
             f" include {describe_force_error(calibration.standards)}."
         )
+        if find_standard(calibration.standards, StandardRole.LOAD_CELL) is not None:
+            yield from _describe_expanded(calibration)
     yield f"{least}, ({x_mm:.3g}, {y_mm:.3g}) mm.".replace("-", "−")
+
+
+def _describe_expanded(calibration: Calibration) -> Iterator[str]:
+    """Yield the expanded uncertainty; without a load cell's certificate the newton itself comes from nowhere."""
+    from cbsr_qa.calibration.uncertainty.budget import evaluate_forces  # needed only where a certificate is stated
+
+    try:
+        expanded = evaluate_forces(calibration)
+    except CalibrationError as error:
+        yield f"No expanded uncertainty is stated: {error.reason}."
+        return
+    for force_N in dict.fromkeys(one.force_N for one in expanded):
+        worst = max((one for one in expanded if one.force_N == force_N), key=lambda one: one.U_N)
+        x_mm, y_mm = worst.place_mm
+        yield (
+            f"Expanded uncertainty of {force_N:.3g} N: at most U = {worst.U_N:.2g} N (k = {worst.k:.2f}, 95 %), at"
+            f" ({x_mm:.3g}, {y_mm:.3g}) mm, mostly by {worst.components[0].name}."
+        ).replace("-", "−")
+    if missing := ", ".join(expanded[0].not_stated):
+        yield f"Not stated, and not in U: {missing}."
 
 
 def _describe_settling(calibration: Calibration) -> Iterator[str]:

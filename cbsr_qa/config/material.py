@@ -159,6 +159,7 @@ class MaterialTable(Table):
     loading_relaxation: RelaxationTable
     unloading_relaxation: RelaxationTable
     strip_relaxation: StripRelaxationTable | None = None
+    response_per_C: ParameterTable | None = None
 
     def to_domain(self) -> Material:
         data = self.model_dump()

@@ -252,6 +252,7 @@ class StationFile(FileModel[Station]):
         if not any(problem.path[0] == "indenter" for problem in self.indenter.problems()):
             yield from self.standards.problems()
             yield from self.standards.head_problems(self.indenter.to_domain())
+            yield from self.standards.temperature_problems(self.safety.temperature_C)
 
     def _emulation_problems(self) -> Iterator[Problem]:
         emulated_roles = [

@@ -174,14 +174,21 @@ def group_of(hint: Any) -> type | None:
     return dataclass_types[0] if len(dataclass_types) == 1 else None
 
 
-def walk_fields(of: type, within: str = "") -> Iterator[tuple[str, KeptField]]:
-    """Yield every field a dataclass keeps, groups before their members."""
+def item_of(hint: Any) -> Any:
+    """Return the dataclass of a list field, or None."""
+    item, *other_items = getattr(hint, "__args__", (None,))
+    return item if other_items == [...] and dataclasses.is_dataclass(item) else None
+
+
+def walk_fields(of: type, within: str = "", *, lists: bool = False) -> Iterator[tuple[str, KeptField]]:
+    """Yield every field a dataclass keeps, groups before their members; those of listed dataclasses if ``lists``."""
     for field in list_fields(of):
         group = group_of(field.hint)
         if not field.kept.not_kept:
             yield field.path(within, group=group is not None), field
-        if group is not None and not field.kept.not_kept:
-            yield from walk_fields(group, field.path(within, group=True))
+        members = group or (item_of(field.hint) if lists else None)
+        if members is not None and not field.kept.not_kept:
+            yield from walk_fields(members, field.path(within, group=True), lists=lists)
 
 
 def take_sources(of: type, holder: Any) -> Mapping[str, Any]:

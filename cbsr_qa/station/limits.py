@@ -8,6 +8,7 @@ from typing import Final
 import numpy as np
 
 from cbsr_qa.domain.errors import ConfigError, SafetyError
+from cbsr_qa.domain.plan.standards import ROLE_UNITS, ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, SampleBlock
 from cbsr_qa.domain.readings.loads import Load
 from cbsr_qa.plugin.instruments import Sampler
@@ -24,7 +25,7 @@ class Violation:
 
     Parameters
     ----------
-    rule : ``"strain"``, ``"force"``, ``"travel"``, ``"dwell"``, ``"duration"`` or ``"order"``.
+    rule : ``"strain"``, ``"force"``, ``"travel"``, ``"dwell"``, ``"duration"``, ``"standard"`` or ``"order"``.
     """
 
     rule: str
@@ -38,6 +39,10 @@ def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation
         yield Violation(
             "travel", f"{radius_mm:.4g} mm from the centre; the station allows {plan.safety.travel_radius_mm:g} mm"
         )
+    stage = find_standard(plan.standards, StandardRole.STAGE)
+    if stage is not None and not 2 * radius_mm <= stage.span:
+        across = f"{radius_mm:.4g} mm from the centre, which takes a travel of {2 * radius_mm:.4g} mm"
+        yield Violation("standard", _describe_range(stage, across))
     if plan.sensor_type.polygon is None:
         yield from _off_disc(radius_mm, plan)
     else:
@@ -96,6 +101,10 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
     force_N = highest_force_N(strain, plan)
     if not force_N <= plan.safety.force_N:
         yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
+    load_cell = find_standard(plan.standards, StandardRole.LOAD_CELL)
+    relaxed_N = _relaxed_force_N(strain, plan)
+    if load_cell is not None and not load_cell.covers(relaxed_N):
+        yield Violation("standard", _describe_range(load_cell, f"{relaxed_N:.3g} N expected once relaxed"))
 
 
 def clearance_violations(clearance_mm: float, plan: Plan) -> Iterator[Violation]:
@@ -122,8 +131,20 @@ def highest_force_N(strain: float, plan: Plan) -> float:
     E ε A is the relaxed force (E of the material file is the relaxed modulus); at the end of a fast ramp the relaxing
     terms add to it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
     """
-    relaxed_N = plan.material.modulus_kPa.value * 1e-3 * strain * plan.indenter.area_mm2
-    return relaxed_N * (1 + sum(max(weight, 0.0) for weight in plan.material.stress_relaxation.weights))
+    overshoot = sum(max(weight, 0.0) for weight in plan.material.stress_relaxation.weights)
+    return _relaxed_force_N(strain, plan) * (1 + overshoot)
+
+
+def _relaxed_force_N(strain: float, plan: Plan) -> float:
+    return plan.material.modulus_kPa.value * 1e-3 * strain * plan.indenter.area_mm2
+
+
+def _describe_range(standard: ReferenceStandard, planned: str) -> str:
+    """Return what is planned beside the range of a certificate, with the key that states it."""
+    key = f"standards.{standard.role}.range_{ROLE_UNITS[standard.role]}"
+    return (
+        f"{planned}; certificate {standard.certificate} covers {standard.range_words()} ({key} of the station file)"
+    )
 
 
 #: Channel whose samples are compared with the temperature range, and their unit.

@@ -11,6 +11,7 @@ from typing import Final
 
 from cbsr_qa.domain.errors import ConfigError, PluginError, RefusedError
 from cbsr_qa.domain.plan.plan import Motion, SafetyLimits
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.plan.steps import (
     AcquireFrames,
     FindSurface,
@@ -168,6 +169,7 @@ class Plan:
     ----------
     motion, safety : speeds of the station, and limits that hold whatever the recipe asks for.
     seed : seed of the run; sequences that draw numbers address them by their own name.
+    standards : reference standards of the station, which must cover the loads.
     """
 
     phases: tuple[PlannedPhase, ...]
@@ -177,6 +179,7 @@ class Plan:
     motion: Motion
     safety: SafetyLimits
     seed: int
+    standards: tuple[ReferenceStandard, ...] = ()
 
     @property
     def decides(self) -> bool:

@@ -84,6 +84,7 @@ def plan_of(configuration: Configuration, plugins: Plugins) -> Plan:
         station.motion,
         station.safety,
         configuration.seed,
+        station.standards,
     )
 
 

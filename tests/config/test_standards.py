@@ -1,10 +1,15 @@
 """Certificates of reference standards in a station file."""
 
+from dataclasses import replace
+
 import pytest
 
-from cbsr_qa.config.loader import load_station
+from cbsr_qa.config.loader import load_material, load_sensor_type, load_station
 from cbsr_qa.domain.errors import ConfigError
-from cbsr_qa.domain.plan.standards import ReferenceStandard
+from cbsr_qa.domain.plan.standards import ReferenceStandard, name_unstated
+from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.station.limits import load_violations
+from cbsr_qa.station.plan import Plan
 
 _STATED = """
 [standards.load_cell]
@@ -73,3 +78,112 @@ def test_a_diameter_is_refused_for_a_head_that_is_not_round(read):
     square = "outline_mm = [[-5, -5], [5, -5], [5, 5], [-5, 5]]"
     with pytest.raises(ConfigError, match=r'standards\.indenter\.unit is "mm", of a diameter'):
         read(head, ("diameter_mm = 13.0", square))
+
+
+_STAGE = """
+[standards.stage]
+certificate = "S-7"
+laboratory = "D-K-15002"
+date = 2026-03-02
+due = 2027-03-31
+uncertainty = 0.02
+k = 2
+unit = "mm"
+range_mm = [0.0, 250.0]
+resolution_mm = 0.01
+drift_a_year = 0.03
+"""
+_THERMOMETER = """
+[standards.thermometer]
+certificate = "T-3"
+laboratory = "D-K-15003"
+date = 2026-03-02
+due = 2027-03-31
+uncertainty = 0.2
+k = 2
+unit = "°C"
+range_C = [10.0, 40.0]
+"""
+_SOURCE_METER = """
+[standards.source_meter]
+certificate = "Q-9"
+laboratory = "D-K-15004"
+date = 2026-03-02
+due = 2027-03-31
+uncertainty = 0.05
+k = 2
+unit = "%"
+range_mA = [0.1, 1.0]
+"""
+
+
+def test_what_places_and_reads_is_stated_beside_the_load_cell(read):
+    standards = read(_STATED + _STAGE + _THERMOMETER + _SOURCE_METER).standards
+    assert [standard.role for standard in standards] == ["load_cell", "stage", "thermometer", "source_meter"]
+    stage, source_meter = standards[1], standards[3]
+    assert (stage.range_low, stage.range_high, stage.resolution, stage.drift_a_year) == (0.0, 250.0, 0.01, 0.03)
+    assert stage.all_words() == (
+        "U = 0.02 mm (k = 2), certificate S-7 of D-K-15002, due 2027-03-31, range 0 to 250 mm, resolution 0.01 mm,"
+        " drift at most 0.03 mm a year"
+    )
+    assert source_meter.standard_uncertainty == 0.00025
+    assert source_meter.drift_uncertainty(1.0) is None
+    assert name_unstated(standards) == ("indenter",)
+
+
+def test_the_drift_of_a_standard_is_a_rectangle_that_grows_from_its_date():
+    standard = ReferenceStandard("load_cell", "K", "L", "2026-01-01", "2027-01-01", 0.5, 2.0, "%", drift_a_year=0.3)
+    assert standard.drift_uncertainty(2.0) == pytest.approx(0.006 / 3**0.5)
+    assert standard.drift_uncertainty(-1.0) == 0
+
+
+@pytest.mark.parametrize(
+    ("table", "given", "instead", "said"),
+    [
+        (_STAGE, "k = 2", "", "standards.stage.k is missing"),
+        (_STAGE, 'unit = "mm"', "", "standards.stage.unit is missing"),
+        (_STAGE, 'unit = "mm"', 'unit = "%"', "standards.stage.unit is '%'"),
+        (_STAGE, "0.02", "-0.02", "standards.stage.uncertainty is -0.02"),
+        (_STAGE, "0.03", "-0.03", "standards.stage.drift_a_year is -0.03"),
+        (_STAGE, "resolution_mm = 0.01", "resolution_mm = 0", "standards.stage.resolution_mm is 0"),
+        (_STAGE, "[0.0, 250.0]", "[250.0, 0.0]", "standards.stage.range_mm is no range"),
+        (_STAGE, "[0.0, 250.0]", "[250.0]", "standards.stage.range_mm"),
+        (_STAGE, "range_mm", "range_N", "standards.stage.range_N"),
+        (_THERMOMETER, "°C", "K", "standards.thermometer.unit is 'K'"),
+        (_THERMOMETER, "due = 2027-03-31", "", "standards.thermometer.due is missing"),
+        (_SOURCE_METER, '"Q-9"', '""', "standards.source_meter.certificate is ''"),
+    ],
+)
+def test_what_another_certificate_cannot_state_is_refused(read, table, given, instead, said):
+    with pytest.raises(ConfigError) as caught:
+        read(table.replace(given, instead))
+    assert said in caught.value.reason
+
+
+def test_a_thermometer_covers_the_temperatures_that_the_station_allows(read):
+    allowed = ("duration_h = ", "temperature_C = [5.0, 30.0]\nduration_h = ")
+    with pytest.raises(
+        ConfigError, match=r"standards\.thermometer\.range_C is 10 to 40 °C, and safety\.temperature_C"
+    ):
+        read(_THERMOMETER, allowed)
+    assert read(_THERMOMETER, (allowed[0], allowed[1].replace("5.0", "15.0"))).standards
+
+
+@pytest.mark.parametrize(
+    ("standard", "said"),
+    [
+        (_STATED + "range_N = [10.0, 50.0]\n", "N expected once relaxed; certificate K-2026-0711 covers 10 to 50 N"),
+        (
+            _STAGE.replace("250.0", "20.0"),
+            "certificate S-7 covers 0 to 20 mm (standards.stage.range_mm of the station",
+        ),
+    ],
+)
+def test_loads_beyond_a_certificate_are_found_before_anything_moves(read, standard, said):
+    station = read(standard)
+    material, sensor_type = load_material("cbsr-8wt").value, load_sensor_type("disc-100mm").value
+    plan = Plan((), sensor_type, material, station.indenter, station.motion, station.safety, 1, station.standards)
+    load = Load("L1", 30.0, 0.0, 0.1, 0)
+    (violation,) = [one for one in load_violations(load, plan) if one.rule == "standard"]
+    assert said in violation.what
+    assert not [one for one in load_violations(load, replace(plan, standards=())) if one.rule == "standard"]

@@ -6,7 +6,7 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.calibration.presses_shown import ShownPressCalibration, press_calibration_outcome
-from cbsr_qa.app.calibration.shown import Settling, ShownCalibration
+from cbsr_qa.app.calibration.shown import Settling, ShownCalibration, ShownExpandedForce
 from cbsr_qa.calibration.file.entries import Issued
 from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued, verify_calibration_file
 from cbsr_qa.domain.plan.standards import PERCENT, StandardRole
@@ -17,6 +17,8 @@ from cbsr_qa.domain.run.run import run_named
 from cbsr_qa.report.tables import format_fixed, plural, text_table
 from cbsr_qa.store.types import time_of_id
 
+#: Degrees of freedom from which they are shown as infinite.
+_MANY: Final = 9999
 #: Fields with a separate line or table on the page.
 _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "standards/", "validity/")
 
@@ -59,6 +61,8 @@ def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield _texts("Where it may be used", _validity(shown))
     yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
     yield _texts("Force", _force(shown))
+    if shown.expanded_forces:
+        yield Section("Expanded uncertainty of force", (_expanded(shown.expanded_forces),))
     yield Section("Settling", (_settling(shown.settling),))
     other_fields = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
     rows = [(path, field.units, field.text) for path, field in other_fields.items() if field.listed]
@@ -129,6 +133,28 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
         if standard.role == StandardRole.INDENTER:
             size = "area" if standard.unit == PERCENT else "diameter"
             yield f"Head, whose {size} counts for forces of other heads: {standard.words()}."
+        elif standard.role != StandardRole.LOAD_CELL:
+            yield f"{standard.role_words.capitalize()}: {standard.words()}."
+
+
+def _expanded(forces: tuple[ShownExpandedForce, ...]) -> Table:
+    rows = [
+        (
+            *(format_fixed(axis_mm, 1) for axis_mm in one.place_mm),
+            f"{one.force_N:.3g}",
+            f"{one.standard_uncertainty_N:.2g}",
+            "∞" if one.dof is None or one.dof > _MANY else f"{one.dof:.0f}",
+            f"{one.k:.2f}",
+            f"{one.U_N:.2g}",
+            "" if one.monte_carlo_N is None else "{:.3g} to {:.3g}".format(*one.monte_carlo_N),
+            max(one.components_N, key=lambda name: one.components_N[name]),
+        )
+        for one in forces
+    ]
+    columns = ("x [mm]", "y [mm]", "force [N]", "u [N]", "dof", "k", "U [N]", "by random numbers [N]", "mostly by")
+    missing = ", ".join(forces[0].not_stated) or "nothing"
+    caption = f"For 95 %, of one settled load at a known place. Not stated, and not in U: {missing}."
+    return text_table(caption, columns, rows, tuple(range(7)))
 
 
 def _settling(summaries: tuple[Settling, ...]) -> Table:

@@ -11,6 +11,8 @@ from cbsr_qa.calibration.abilities import ForceAbility, describe_abilities
 from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry
 from cbsr_qa.calibration.file.entries import encode
 from cbsr_qa.calibration.force.interpolation import interpolate
+from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.standards import ReferenceStandard, describe_force_error
 from cbsr_qa.domain.results.calibration import (
@@ -20,6 +22,7 @@ from cbsr_qa.domain.results.calibration import (
     SettlingSummary,
     VerifiedFile,
 )
+from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: Largest number of values of an array that is shown.
@@ -190,6 +193,40 @@ class ShownForceModel:
 
 
 @dataclass(frozen=True, slots=True)
+class ShownExpandedForce:
+    """A force with its expanded uncertainty; see :class:`~cbsr_qa.domain.results.expanded_force.ExpandedForce`.
+
+    Parameters
+    ----------
+    dof : effective degrees of freedom; None if infinite.
+    components_N : standard uncertainty of each input.
+    monte_carlo_N : interval of 95 % by random numbers where the model bends; else None.
+    """
+
+    place_mm: tuple[float, float]
+    force_N: float
+    settling_s: float
+    standard_uncertainty_N: float
+    dof: float | None
+    k: float
+    U_N: float
+    components_N: dict[str, float]
+    not_stated: tuple[str, ...]
+    monte_carlo_N: tuple[float, float] | None
+
+    @classmethod
+    def from_force(cls, expanded: ExpandedForce) -> Self:
+        simulated = expanded.monte_carlo
+        return fill_from_object(
+            cls,
+            expanded,
+            dof=expanded.dof if isfinite(expanded.dof) else None,
+            components_N={part.name: part.standard_uncertainty for part in expanded.components},
+            monte_carlo_N=None if simulated is None else (simulated.low, simulated.high),
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class ShownCalibration:
     """Contents of a calibration file.
 
@@ -199,6 +236,7 @@ class ShownCalibration:
     values : every field of the file by its path, as named in its field table (``Calibration``).
     abilities : what the sensor does, in sentences.
     force_error : what standard errors of force include.
+    expanded_forces : forces over the range with U and k; none without a force model or a measured range of force.
     """
 
     file: Path
@@ -219,6 +257,7 @@ class ShownCalibration:
     no_force_model: str | None
     force_error: str
     standards: tuple[ReferenceStandard, ...]
+    expanded_forces: tuple[ShownExpandedForce, ...]
 
     @classmethod
     def from_calibration(cls, path: Path, verified: VerifiedFile, held: Calibration) -> Self:
@@ -247,4 +286,13 @@ class ShownCalibration:
             no_force_model=None if held.force else held.no_force,
             force_error=describe_force_error(held.standards),
             standards=held.standards,
+            expanded_forces=tuple(map(ShownExpandedForce.from_force, _expand_forces(held))),
         )
+
+
+def _expand_forces(held: Calibration) -> tuple[ExpandedForce, ...]:
+    """Return forces over the range; none where no uncertainty can be stated."""
+    try:
+        return evaluate_forces(held)
+    except CalibrationError:  # the abilities say why
+        return ()

@@ -13,7 +13,7 @@ from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
-from cbsr_qa.domain.plan.standards import is_dated_later, past_due
+from cbsr_qa.domain.plan.standards import is_dated_later, name_unstated, past_due
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
@@ -173,12 +173,16 @@ class _Look:
         """Add a line for each reference standard of the station."""
         for standard in self.configuration.station.standards:
             line = _check_due(f"standards.{standard.role}", standard.due, self.configuration.station, today)
-            line = replace(line, said=f"{standard.words()}{line.said.removeprefix(f'due on {standard.due}')}")
+            line = replace(line, said=f"{standard.all_words()}{line.said.removeprefix(f'due on {standard.due}')}")
             if is_dated_later(standard.date, today):
                 outcome, policy = _judge_date(self.configuration.station, is_wrong=True)
-                said = f"{standard.words()}; dated {standard.date}, later than today, {today}; {policy}"
+                said = f"{standard.all_words()}; dated {standard.date}, later than today, {today}; {policy}"
                 line = replace(line, outcome=outcome, said=said, remedy=CORRECT_DATE)
             self._add(line)
+        unstated = ", ".join(name_unstated(self.configuration.station.standards))
+        if unstated:
+            said = f"not stated: {unstated}"
+            self._add(CheckResult("certificates", CheckOutcome.NOT_DONE, said=said, subject="standards"))
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""

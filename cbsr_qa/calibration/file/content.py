@@ -205,7 +205,9 @@ def schema_version(entries: Mapping[str, Entry]) -> int:
 
 def _list_added(format_: str) -> tuple[tuple[str, int], ...]:
     """Return paths, or prefixes of paths, of entries that later versions added, with the version."""
-    return tuple((path, field.kept.since) for path, field in walk_fields(_KINDS[format_]) if field.kept.since)
+    return tuple(
+        (path, field.kept.since) for path, field in walk_fields(_KINDS[format_], lists=True) if field.kept.since
+    )
 
 
 def content_digest(entries: Mapping[str, Entry], version: int | None = None) -> str:

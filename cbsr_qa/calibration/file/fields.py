@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.calibration.file.content import FLAG, INDEX, PURE, TEXT, Entry, Reading, Value
-from cbsr_qa.domain.kept import COLUMNS, Kept, KeptField, group_of, list_fields
+from cbsr_qa.domain.kept import COLUMNS, Kept, KeptField, group_of, item_of, list_fields
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 
 Pairs = tuple[tuple[int, int], ...]
@@ -100,12 +100,6 @@ class Codec:
                 columns[field.name] = [field.hint(word) for word in read.texts(path)]
         for row in zip(*columns.values(), strict=True):
             yield of(**shared, **dict(zip(columns, row, strict=True)))
-
-
-def item_of(hint: Any) -> Any:
-    """Return the dataclass of a list field, or None."""
-    item, *other_items = getattr(hint, "__args__", (None,))
-    return item if other_items == [...] and is_dataclass(item) else None
 
 
 def problems(value: Any, within: str) -> Iterator[str]:

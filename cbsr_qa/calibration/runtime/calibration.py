@@ -3,7 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Final, Self
+from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -31,6 +31,9 @@ from cbsr_qa.domain.readings.frames import FrameBlock, Recording
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.domain.sensor.sensor_type import SensorType
+
+if TYPE_CHECKING:
+    from cbsr_qa.domain.results.expanded_force import ExpandedForce
 
 #: Values of dᵀΣ⁻¹d that hold 68 % and 95 % of a normal distribution over two axes.
 _Q68, _Q95 = (float(-2 * np.log(1 - share)) for share in (0.6827, 0.95))
@@ -114,6 +117,21 @@ class Calibration(HeadForces):
     def force_error(self) -> str:
         """What standard errors of force include."""
         return describe_force_error(self.issued.standards)
+
+    def expand(self, forces: Forces) -> "tuple[ExpandedForce | None, ...]":
+        """Return the expanded uncertainty (U and k of 95 %) of each force that frames told, with its budget.
+
+        None for frames without a load, and for what is flagged as outside the calibrated range. Needs ``GTC``.
+
+        CalibrationError if that is missing, or a force is outside the range of the load cell's certificate.
+        """
+        try:
+            import GTC  # noqa: F401 - a robot that needs no U does without it
+        except ImportError as error:
+            raise CalibrationError("expanded uncertainties need GTC", remedy="pip install GTC") from error
+        from cbsr_qa.calibration.uncertainty.budget import expand_forces
+
+        return expand_forces(self.issued, forces)
 
     def estimate(self, frames: ArrayLike) -> Touches:
         """Estimate the touch in each frame, as :meth:`force` does; see :class:`Estimator`."""

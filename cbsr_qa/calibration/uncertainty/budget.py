@@ -1,19 +1,36 @@
 """Budgets of forces that a calibrated sensor tells (JCGM 100)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from math import sqrt
+from typing import Final
 
+from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, Forces
+from cbsr_qa.calibration.uncertainty.combination import combine
+from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoints
+from cbsr_qa.calibration.uncertainty.inputs import ForceInput, ForceInputs
+from cbsr_qa.calibration.uncertainty.monte_carlo import simulate_force
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
+
+Place = tuple[float, float]
+#: Forces with one of these flags are beyond what was calibrated, or no force of one load.
+_NO_CLAIM: Final = NO_FORCE | int(
+    Flag.NOT_DETECTED | Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE | Flag.WRONG_SIGN | Flag.OTHER_HEAD
+)
 
 
 def evaluate_forces(
     calibration: Calibration,
     forces_N: Sequence[float] | None = None,
-    places_mm: Sequence[tuple[float, float]] | None = None,
+    places_mm: Sequence[Place] | None = None,
     *,
     settling_s: float | None = None,
 ) -> tuple[ExpandedForce, ...]:
     """Evaluate the uncertainty of forces of single settled loads, by places and then by forces.
+
+    Each is of one frame, at a place that is known, by the head that calibrated.
 
     Parameters
     ----------
@@ -26,6 +43,92 @@ def evaluate_forces(
     ------
     CalibrationError
         If the calibration has no force model, no measured range of force (without ``forces_N``), or a place or force
-        is outside what it was calibrated for.
+        is outside what it, or the certificate of its load cell, was calibrated for.
     """
-    raise NotImplementedError
+    points = ForcePoints(calibration)
+    hold_s = points.model.steady_s if settling_s is None else settling_s
+    stated_N = list_forces(calibration) if forces_N is None else tuple(forces_N)
+    _check_stated(calibration, stated_N, hold_s)
+    listing = ForceInputs(calibration, points.model, hold_s)
+    expanded = []
+    for place_mm in list_places(calibration) if places_mm is None else places_mm:
+        for force_N in stated_N:
+            point = points.at(force_N, place_mm)
+            inputs, not_stated = listing.list_at(point)
+            budget = combine([item.as_input(point) for item in inputs], not_stated=not_stated)
+            simulated = simulate_force(point, inputs, budget)
+            expanded.append(ExpandedForce(place_mm, force_N, hold_s, budget, simulated))
+    return tuple(expanded)
+
+
+def expand_forces(calibration: Calibration, forces: Forces) -> tuple[ExpandedForce | None, ...]:
+    """Return the uncertainty of each force that frames told, at the place where it was found.
+
+    What ``stderr_N`` of a frame has beyond a known place (the error of its place, other heads, readings left out) is
+    one more input. None for frames without a load, and for what is flagged as outside the calibrated range.
+
+    Raises
+    ------
+    CalibrationError
+        As for :func:`evaluate_forces`.
+    """
+    points = ForcePoints(calibration)
+    listing = ForceInputs(calibration, points.model, points.model.steady_s)
+    expanded: list[ExpandedForce | None] = []
+    for frame, force_N in enumerate(forces.force_N.tolist()):
+        if forces.flags[frame] & _NO_CLAIM or not force_N > 0:
+            expanded.append(None)
+            continue
+        _check_stated(calibration, (force_N,), points.model.steady_s)
+        x_mm, y_mm = forces.place_mm[frame].tolist()
+        point = points.at(force_N, (x_mm, y_mm))
+        inputs, not_stated = listing.list_at(point)
+        known = sum(item.as_input(point).contribution ** 2 for item in inputs if item.in_runtime)
+        scatter = forces.stderr_N[frame] ** 2 - forces.shared_stderr_N[frame] ** 2
+        beyond_N = sqrt(max(float(scatter) - known, 0.0))
+        inputs.append(ForceInput("place found in the frame", "A", Entry.NEWTON, beyond_N, "the frame's own error"))
+        budget = combine([item.as_input(point) for item in inputs], not_stated=not_stated)
+        simulated = simulate_force(point, inputs, budget)
+        expanded.append(ExpandedForce(point.place_mm, force_N, points.model.steady_s, budget, simulated))
+    return tuple(expanded)
+
+
+def list_forces(calibration: Calibration) -> tuple[float, ...]:
+    """Return least, middle and greatest force of the calibrated range. CalibrationError if it was not measured."""
+    if calibration.validity.force_N is None:
+        raise CalibrationError(
+            f"the range of force of calibration {calibration.calibration} was not measured",
+            remedy="run a recipe on a station with a load cell",
+        )
+    low_N, high_N = calibration.validity.force_N
+    return tuple(dict.fromkeys((low_N, (low_N + high_N) / 2, high_N)))
+
+
+def list_places(calibration: Calibration) -> tuple[Place, ...]:
+    """Return the places that calibrated, each once; the sheet's centre if none did."""
+    places = [(place.x_mm, place.y_mm) for place in calibration.baseline if place.value is not None]
+    return tuple(dict.fromkeys(places)) or ((0.0, 0.0),)
+
+
+def _check_stated(calibration: Calibration, forces_N: Sequence[float], settling_s: float) -> None:
+    for problem in _find_problems(calibration, forces_N, settling_s):
+        raise CalibrationError(
+            problem, remedy="state it within the range, or calibrate with a standard that covers it"
+        )
+
+
+def _find_problems(calibration: Calibration, forces_N: Sequence[float], settling_s: float) -> Iterator[str]:
+    if not settling_s >= 0:
+        yield f"a settling time of {settling_s} s is negative"
+    load_cell = find_standard(calibration.standards, StandardRole.LOAD_CELL)
+    for force_N in forces_N:
+        if not force_N > 0:
+            yield f"a force of {force_N} N is not positive"
+        if load_cell is not None and not load_cell.covers(force_N):
+            certificate = f"certificate {load_cell.certificate} of the load cell covers {load_cell.range_words()}"
+            yield f"{force_N:.3g} N is outside its standard's range: {certificate}"
+    meter = find_standard(calibration.standards, StandardRole.SOURCE_METER)
+    current_mA = 1e3 * calibration.current_A
+    if meter is not None and not meter.covers(current_mA):
+        certificate = f"certificate {meter.certificate} of the source meter covers {meter.range_words()}"
+        yield f"the drive current was {current_mA:.3g} mA: {certificate}"

@@ -18,7 +18,7 @@ from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.learned_place import PlaceOfRun
 from cbsr_qa.domain.results.relaxation import RelaxationFit, RelaxationKernel, SettlingTime
 from cbsr_qa.domain.results.signature import Signature
-from cbsr_qa.domain.sensor.sensor_type import QuasiStatic, Response, SensorIdentity, SensorType
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic, Response, SensorIdentity, SensorType
 
 #: Largest number of a force model, with a finite square, and largest logarithm in one.
 _LARGEST: Final = 1e12
@@ -249,6 +249,7 @@ class Calibration:
     place : learned from the run's presses, where that is clearly better than the model of the sheet; else None.
     no_force : why there is no force model; empty if there is one.
     standards : reference standards of the station that issued it; those that are missing were not stated.
+    response_per_C : of the material: relative change of a told force by a degree between calibration and use.
     digest : SHA-256 of everything above, as :mod:`cbsr_qa.calibration.file` describes it; empty before it is issued.
     record_digest : the same without what is prepared again from the rest: mesh, Jacobian, model frame and matrix.
     file : bytes of its file as it was issued; empty where it was read from something else.
@@ -286,6 +287,9 @@ class Calibration:
     place: PlaceOfRun | None = None
     no_force: Annotated[str, FROM_ABOVE] = ""  # a text of the group ``force``, which encoding and decoding see to
     standards: Annotated[tuple[ReferenceStandard, ...], Kept("standards/", since=6)] = ()
+    response_per_C: Annotated[
+        Parameter | None, Kept("validity/response_per_C", "1/degC", since=8, source="record.material.response_per_C")
+    ] = None
     digest: Annotated[str, NOT_KEPT] = ""
     record_digest: Annotated[str, NOT_KEPT] = ""
     file: Annotated[bytes, NOT_KEPT] = b""

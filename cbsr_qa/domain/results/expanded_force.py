@@ -1,7 +1,7 @@
-"""Forces with expanded uncertainties, and the budgets that they come from (JCGM 100, 6 and 7)."""
+"""Forces and places with expanded uncertainties, and the budgets that they come from (JCGM 100, 6 and 7)."""
 
 from dataclasses import dataclass
-from math import hypot, inf
+from math import hypot
 
 
 @dataclass(frozen=True, slots=True)
@@ -41,16 +41,19 @@ class MonteCarlo:
     Parameters
     ----------
     trials : number of trials.
-    standard_uncertainty : standard deviation of the trials' results.
-    low, high : interval of 95 % with equal tails (JCGM 101, 7.7.2, in units of the result).
+    low, high : interval of 95 % with equal tails (JCGM 101, 7.7), in the measurand's unit.
     why : what bends the model, so that the law of propagation alone is not enough.
     """
 
     trials: int
-    standard_uncertainty: float
     low: float
     high: float
     why: str
+
+    @property
+    def half_width(self) -> float:
+        """Half of the interval, to compare with U."""
+        return (self.high - self.low) / 2
 
 
 @dataclass(frozen=True, slots=True)
@@ -133,5 +136,22 @@ class ExpandedForce:
         return self.budget.not_stated
 
 
-#: Degrees of freedom of an uncertainty that is taken as known (JCGM 100, G.4.3).
-KNOWN = inf
+@dataclass(frozen=True, slots=True)
+class ExpandedPlace:
+    """A place that one frame tells of a load, with the radius of the circle that holds it with 95 %.
+
+    Parameters
+    ----------
+    place_mm : (x, y) from the sheet's centre.
+    force_N : force of the load.
+    budget : uncertainty along an axis, root mean square over both [mm]; ``k`` turns it into the radius.
+    """
+
+    place_mm: tuple[float, float]
+    force_N: float
+    budget: Budget
+
+    @property
+    def U_mm(self) -> float:
+        """Radius of the circle."""
+        return self.budget.expanded

@@ -217,6 +217,8 @@ class Material:
     loading_relaxation, unloading_relaxation : relaxations of conductance, after a press and after a release.
     relative_noise : rms noise of one reading relative to the mean magnitude of the used readings.
     strip_relaxation : relaxation as measured in one dimension, with its errors; None where it was not.
+    response_per_C : relative change of a told force by a degree between calibration and use [1/°C]; None if not
+        stated.
     """
 
     name: str
@@ -229,6 +231,7 @@ class Material:
     unloading_relaxation: Relaxation
     relative_noise: Parameter
     strip_relaxation: StripRelaxation | None = None
+    response_per_C: Parameter | None = None
 
 
 @dataclass(frozen=True, slots=True)

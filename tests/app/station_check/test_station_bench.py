@@ -152,9 +152,17 @@ def test_a_reference_standard_is_shown_with_its_certificate_and_date(simulated):
     bench.look()
     load_cell = bench.lines["standards.load_cell", "calibration due"]
     indenter = bench.lines["standards.indenter", "calibration due"]
-    assert (load_cell.outcome, load_cell.said) == (OK, LOAD_CELL.words())
+    assert (load_cell.outcome, load_cell.said) == (OK, LOAD_CELL.all_words())
     assert indenter.outcome is WARNING
-    assert indenter.said == "U = 0.02 mm (k = 2), certificate L-99 of D-K-15001, due 2026-11-21; runs carry a warning"
+    stated = "U = 0.02 mm (k = 2), certificate L-99 of D-K-15001, due 2026-11-21, drift not stated"
+    assert indenter.said == f"{stated}; runs carry a warning"
+
+
+def test_what_no_certificate_states_is_listed_as_not_stated(simulated):
+    bench = Bench(simulated, standards=(LOAD_CELL,))
+    bench.look()
+    line = bench.lines["standards", "certificates"]
+    assert (line.outcome, line.said) == (NOT_DONE, "not stated: indenter, stage, thermometer, source meter")
 
 
 def test_a_certificate_dated_later_than_today_is_a_warning(simulated):
@@ -162,7 +170,9 @@ def test_a_certificate_dated_later_than_today_is_a_warning(simulated):
     bench.look()
     line = bench.lines["standards.load_cell", "calibration due"]
     assert line.outcome is WARNING
-    assert line.said == f"{LOAD_CELL.words()}; dated 2026-11-23, later than today, 2026-11-22; runs carry a warning"
+    assert (
+        line.said == f"{LOAD_CELL.all_words()}; dated 2026-11-23, later than today, 2026-11-22; runs carry a warning"
+    )
     assert line.remedy == "correct its date in the station file, or set the computer's clock"
 
 

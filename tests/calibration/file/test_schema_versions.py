@@ -15,8 +15,10 @@ from cbsr_qa.calibration.file.hdf5 import read_calibration, stamp, verify_calibr
 from cbsr_qa.calibration.file.json import json_document, read_json_calibration
 from cbsr_qa.domain.errors import LAST_UNRELEASED, CalibrationError
 from cbsr_qa.domain.kept import Kept
+from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.calibration import BatchUse, Calibration
 from cbsr_qa.domain.results.press_calibration import PressCalibration
+from cbsr_qa.domain.sensor.sensor_type import Parameter
 
 FIRST = FIRST_VERSION[FORMAT]
 KNOWN = latest_version(FORMAT)
@@ -74,10 +76,23 @@ def test_what_a_map_owes_to_a_batch_comes_back_and_raises_the_version(tmp_path):
     use, sample = BatchUse("d" * 64, True, 0.43, 0.25), sample_calibration()
     path, sample = tmp_path / "batch.h5", replace(sample, force=replace(sample.force, batch=use))
     write_calibration(path, sample)
-    assert verify_calibration_file(path).schema_version == KNOWN == 7
+    assert verify_calibration_file(path).schema_version == 7
     assert read_calibration(path).force.batch == use
     (tmp_path / "batch.json").write_text(json.dumps(json_document(stamp(sample))))
     assert read_json_calibration(tmp_path / "batch.json").force.batch == use
+
+
+def test_what_a_certificate_covers_comes_back_and_raises_the_version(tmp_path):
+    stage = ReferenceStandard(
+        "stage", "S-1", "D-K-1", "2026-03-02", "2027-03-31", 0.02, 2.0, "mm", 0.01, None, 0.0, 250.0
+    )
+    warmth = Parameter(0.004, 0.001, "measured in a climate chamber")
+    sample = replace(sample_calibration(), standards=(LOAD_CELL, stage), response_per_C=warmth)
+    write_calibration(tmp_path / "full.h5", sample)
+    assert verify_calibration_file(tmp_path / "full.h5").schema_version == KNOWN == 8
+    (tmp_path / "full.json").write_text(json.dumps(json_document(stamp(sample))))
+    for read in (read_calibration(tmp_path / "full.h5"), read_json_calibration(tmp_path / "full.json")):
+        assert (read.standards, read.response_per_C) == ((LOAD_CELL, stage), warmth)
 
 
 @pytest.mark.usefixtures("later")

@@ -1,0 +1,219 @@
+"""Inputs of a force's budget: what a calibration states of each, and what nothing gives a number for."""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from datetime import date, datetime
+from math import hypot, inf, sqrt
+from typing import Final
+
+from cbsr_qa.calibration.uncertainty.combination import BudgetInput
+from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoint
+from cbsr_qa.calibration.uncertainty.transients import kernel_error
+from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole, find_standard
+from cbsr_qa.domain.results.calibration import Calibration, ForceModel
+
+#: Time since the reference frame for which drifts of the readings are stated [years].
+IN_USE_YEARS: Final = 1.0
+_DAYS_A_YEAR: Final = 365.25
+#: Standard uncertainty of a rectangle over its width (JCGM 100, 4.3.7).
+_OF_WIDTH: Final = 1 / sqrt(12)
+
+
+@dataclass(frozen=True, slots=True)
+class ForceInput:
+    """An input of a force at a point.
+
+    Parameters
+    ----------
+    name, kind, source, dof, shared : fields of :class:`BudgetInput`.
+    entry : where its error enters.
+    uncertainty : standard uncertainty of the error there; ``sign`` is that of its effect.
+    rectangular : whether the error is as likely anywhere within bounds, and impossible beyond.
+    in_runtime : whether the standard error that the runtime gives for a frame has it, beside the shared part.
+    """
+
+    name: str
+    kind: str
+    entry: Entry
+    uncertainty: float
+    source: str
+    dof: float = inf
+    shared: bool = False
+    sign: float = 1.0
+    rectangular: bool = False
+    in_runtime: bool = False
+
+    def as_input(self, point: ForcePoint) -> BudgetInput:
+        """Return the input with its sensitivity."""
+        sensitivity = self.sign * point.sensitivity(self.entry)
+        return BudgetInput(self.name, self.kind, self.uncertainty, sensitivity, self.source, self.dof, self.shared)
+
+
+@dataclass(frozen=True, slots=True)
+class ForceInputs:
+    """Lists the inputs of a calibration's forces.
+
+    Parameters
+    ----------
+    calibration : calibration as issued, with a force model.
+    settling_s : time after the press for which forces are stated.
+    """
+
+    calibration: Calibration
+    model: ForceModel
+    settling_s: float
+
+    def list_at(self, point: ForcePoint) -> tuple[list[ForceInput], list[str]]:
+        """Return the inputs of a force at a point, and the names of those that nothing gives a number for."""
+        listed = [
+            *self._load_cell(point),
+            *self._head(),
+            *self._position(point),
+            *self._map(point),
+            *self._transients(point),
+            *self._repeated(),
+            *self._temperature(),
+            *self._readings(point),
+        ]
+        stated = [item for item in listed if isinstance(item, ForceInput)]
+        return stated, [item for item in listed if isinstance(item, str)]
+
+    def _load_cell(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+        standard = find_standard(self.calibration.standards, StandardRole.LOAD_CELL)
+        if standard is None:
+            yield from ("load cell", "drift of the load cell", "resolution of the load cell")
+            return
+        entry = Entry.FACTOR if standard.unit == PERCENT else Entry.NEWTON
+        yield ForceInput("load cell", "B", entry, standard.standard_uncertainty, standard.words(), shared=True)
+        years = _years_between(standard, self.calibration.issued_at)
+        drift = standard.drift_uncertainty(years)
+        if drift is None:
+            yield "drift of the load cell"
+        else:
+            since = f"{max(years, 0):.2g} years after {standard.date}"
+            source = f"at most {standard.drift_a_year:g} {standard.unit} a year, {since}"
+            yield ForceInput("drift of the load cell", "B", entry, drift, source, shared=True, rectangular=True)
+        if standard.resolution is None:
+            yield "resolution of the load cell"
+        else:
+            u_N, source = standard.resolution * _OF_WIDTH, f"steps of {standard.resolution:g} N"
+            yield ForceInput(
+                "resolution of the load cell", "B", Entry.NEWTON, u_N, source, shared=True, rectangular=True
+            )
+
+    def _head(self) -> Iterator[ForceInput | str]:
+        source = "cancels: the forces are those of the head that calibrated"
+        yield ForceInput("area of the head", "B", Entry.FACTOR, 0.0, source, shared=True)
+        yield "tilt of the head"
+
+    def _position(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+        stage = find_standard(self.calibration.standards, StandardRole.STAGE)
+        if stage is None:
+            yield "place of indentation"
+            return
+        u_mm = hypot(stage.standard_uncertainty, (stage.resolution or 0.0) * _OF_WIDTH)
+        for axis, slope in zip("xy", point.slope_per_mm.tolist(), strict=True):
+            source = f"{stage.words()}; the force changes by {slope:.2%} in 1 mm along {axis}"
+            sign = -1.0 if slope < 0 else 1.0
+            yield ForceInput(
+                f"place of indentation, {axis}", "B", Entry.FACTOR, abs(slope) * u_mm, source, shared=True, sign=sign
+            )
+
+    def _map(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+        batch, stderr = self.model.batch, point.response_stderr
+        source = "posterior of the sheet's response at this place, with the noise of readings and load cell in it"
+        shared_share = batch.share if batch is not None and batch.alike else 0.0
+        yield ForceInput(
+            "map between places", "A", Entry.RESPONSE, stderr * sqrt(1 - shared_share), source, in_runtime=True
+        )
+        if shared_share:
+            words = f"{shared_share:.0%} of the map's variance, by model {batch.model[:12]}" if batch else ""
+            yield ForceInput(
+                "map of the batch", "A", Entry.RESPONSE, stderr * sqrt(shared_share), words, in_runtime=True
+            )
+        line = self.calibration.against_stress
+        slope, intercept = line.slope.stderr or 0.0, line.intercept.stderr or 0.0
+        stress_kPa = point.force_N / self.calibration.indenter.area_mm2 * 1e3
+        covariance = line.covariance or 0.0
+        together = slope * (-1.0 if covariance < 0 else 1.0) * stress_kPa + intercept
+        u = together if covariance else hypot(slope * stress_kPa, intercept)
+        kind = "A" if line.intercept.source.startswith("fitted") else "B"
+        yield ForceInput(
+            "line of the material",
+            kind,
+            Entry.LINE,
+            abs(u),
+            line.intercept.source,
+            in_runtime=True,
+            shared=True,
+            sign=-1.0 if u < 0 else 1.0,
+        )
+
+    def _transients(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+        name = "prediction of transients"
+        if self.settling_s == self.model.steady_s:
+            source = f"none: loads are held for {self.settling_s:.3g} s, as those that calibrated"
+            yield ForceInput(name, "A", Entry.STRENGTH, 0.0, source)
+        elif self.model.loading is None or not len(self.model.loading.weights):
+            yield name
+        else:
+            kernel = self.model.loading
+            relative = kernel_error(kernel, self.settling_s, self.model.steady_s)
+            source = f"relaxation of {kernel.loads} loads, from {self.settling_s:.3g} to {self.model.steady_s:.3g} s"
+            freedom = max(kernel.scatter_freedom, 1.0)
+            yield ForceInput(name, "A", Entry.STRENGTH, relative * abs(point.strength), source, dof=freedom)
+
+    def _repeated(self) -> Iterator[ForceInput | str]:
+        presses = sum(place.loads for place in self.calibration.baseline if place.value is not None)
+        places = sum(1 for place in self.calibration.baseline if place.value is not None)
+        freedom = float(max(presses - places, 1))
+        source = f"scatter of {presses} loads at {places} places about the map"
+        yield ForceInput(
+            "repeatability", "A", Entry.RESPONSE, self.model.scatter, source, dof=freedom, in_runtime=True
+        )
+        left = self.model.residue_strength * hypot(self.model.residue_share, self.model.residue_stderr)
+        source = "what earlier loads left before the run's presses, of which a share stays, chosen by us"
+        yield ForceInput("residue of earlier loads", "B", Entry.STRENGTH, left, source)
+
+    def _temperature(self) -> Iterator[ForceInput | str]:
+        per_C, measured_C = self.calibration.response_per_C, self.calibration.validity.temperature_C
+        thermometer = find_standard(self.calibration.standards, StandardRole.THERMOMETER)
+        if per_C is None or measured_C is None:
+            yield "temperature"
+            return
+        if thermometer is None:
+            yield "thermometer"
+        reading_C = 0.0 if thermometer is None else thermometer.standard_uncertainty
+        u_C = hypot((measured_C[1] - measured_C[0]) * _OF_WIDTH, reading_C)
+        source = f"{per_C.value:.2%} a °C, within {measured_C[0]:.3g} to {measured_C[1]:.3g} °C: {per_C.source}"
+        yield ForceInput(
+            "temperature", "B", Entry.FACTOR, hypot(per_C.value, per_C.stderr or 0.0) * u_C, source, rectangular=True
+        )
+
+    def _readings(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+        meter = find_standard(self.calibration.standards, StandardRole.SOURCE_METER)
+        drift = None if meter is None else meter.drift_uncertainty(IN_USE_YEARS)
+        if meter is None or drift is None:
+            yield "drift of gains since the reference"
+        else:
+            source = f"at most {meter.drift_a_year:g} % a year, for use within {IN_USE_YEARS:g} year of the reference"
+            sign = -1.0 if point.gain < 0 else 1.0
+            yield ForceInput(
+                "drift of gains since the reference",
+                "B",
+                Entry.STRENGTH,
+                abs(point.gain) * drift,
+                source,
+                shared=True,
+                sign=sign,
+                rectangular=True,
+            )
+        yield ForceInput(
+            "noise of a frame", "A", Entry.STRENGTH, point.noise, "the run's frames at rest", in_runtime=True
+        )
+
+
+def _years_between(standard: ReferenceStandard, issued_at: str) -> float:
+    """Years from the date of a standard to that of a calibration."""
+    used = datetime.fromisoformat(issued_at).date()
+    return (used - date.fromisoformat(standard.date)).days / _DAYS_A_YEAR
