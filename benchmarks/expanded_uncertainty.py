@@ -39,6 +39,7 @@ _FORCES_N: Final = (1.0, 5.5)
 _RADIUS_MM: Final = 28.0
 _PRESSES: Final = 3
 _DATES: Final = ("Lab", "2026-01-01", "2027-01-01")
+_MAP: Final = "map between places"
 #: Smallest share of the variance of a component whose absence must show.
 _SHOWS: Final = 0.1
 
@@ -122,12 +123,14 @@ class Told:
     expanded : uncertainty of each force at the stated place.
     error_N : (n,) told less true forces.
     place_error_mm, place_U_mm : (n,) distances of told from true places, and stated radii.
+    map_correlation : (n, n) correlation of the map's errors at the places of the loads.
     """
 
     expanded: tuple[ExpandedForce, ...]
     error_N: Array
     place_error_mm: Array
     place_U_mm: Array
+    map_correlation: Array
 
 
 def simulate_sensor(issued: Calibration, seed: int, loads: int) -> Told:
@@ -147,9 +150,9 @@ def simulate_sensor(issued: Calibration, seed: int, loads: int) -> Told:
     # the sheet: response that the map missed, and scatter that the calibration estimated from its repeats
     freedom = max(sum(place.loads - 1 for place in issued.baseline), 1)
     scatter = model.scatter / np.sqrt(random.chisquare(freedom) / freedom)
-    covariance = compute_covariance(stated_mm, stated_mm, 20.0, True) + 1e-9 * np.eye(loads)
+    correlation = compute_covariance(stated_mm, stated_mm, 20.0, True) + 1e-6 * np.eye(loads)
     stderr = float(model.log_response_stderr[0])
-    missed = stderr * np.linalg.cholesky(covariance) @ random.standard_normal(loads)
+    missed = stderr * np.linalg.cholesky(correlation) @ random.standard_normal(loads)
     missed += scatter * random.standard_normal(loads)
     # the line turns about the stress in the middle, as it was fitted
     turned = random.standard_normal()
@@ -184,12 +187,15 @@ def simulate_sensor(issued: Calibration, seed: int, loads: int) -> Told:
     nothing, none = np.zeros(loads), np.zeros(loads, dtype=np.int64)
     forces = Forces(told_N, nothing, stated_mm, nothing, nothing, none, nothing)
     expanded = [one for one in expand_forces(issued, forces) if one is not None]
-    found_mm = matched.search(rows).place_mm + model.place_scatter_mm * random.standard_normal((loads, 2)) - offset_mm
+    # places in the stage's millimetres: the sheet lies where the stage's readings say
+    found_mm = matched.search(rows).place_mm + model.place_scatter_mm * random.standard_normal((loads, 2)) + offset_mm
+    stated_places = [(x_mm, y_mm) for x_mm, y_mm in pressed_mm.tolist()]
     radii_mm = [
-        evaluate_places(issued, [force], [place])[0].U_mm
-        for force, place in zip(true_N.tolist(), map(tuple, stated_mm.tolist()), strict=True)
+        evaluate_places(issued, [force_N], [place_mm])[0].U_mm
+        for force_N, place_mm in zip(true_N.tolist(), stated_places, strict=True)
     ]
-    return Told(tuple(expanded), told_N - true_N, np.hypot(*(found_mm - stated_mm).T), np.array(radii_mm))
+    place_error_mm = np.hypot(*(found_mm - pressed_mm).T)
+    return Told(tuple(expanded), told_N - true_N, place_error_mm, np.array(radii_mm), correlation)
 
 
 def _draw_rectangle(random: np.random.Generator, standard_uncertainty: float) -> float:
@@ -204,20 +210,31 @@ def hold_rates(told: Sequence[Told]) -> dict[str, tuple[float, float]]:
 
 
 def normalised_variance(told: Sequence[Told], without: str | None = None) -> tuple[float, float]:
-    """Mean of squared errors over the stated variance, without a component, and p of a mean of at most 1.
+    """Mean of eᵀ C⁻¹ e over the loads, C the stated covariance of a sensor's errors e, without a component.
 
-    Sensors are independent, their loads are not: the mean of each sensor is one value of a t-test.
+    Returns
+    -------
+    The mean, 1 if the budget is right, and p of a mean of at most 1. Sensors are independent, their loads are not:
+    each sensor is one value of a t-test.
     """
-    by_sensor = []
-    for one in told:
-        variance = np.array([_variance_without(expanded, without) for expanded in one.expanded])
-        by_sensor.append(float(np.mean(one.error_N**2 / variance)))
-    mean, stderr = float(np.mean(by_sensor)), float(np.std(by_sensor, ddof=1) / np.sqrt(len(by_sensor)))
+    by_sensor = np.array([_normalise(one, without) for one in told])
+    mean, stderr = float(by_sensor.mean()), float(by_sensor.std(ddof=1) / np.sqrt(len(by_sensor)))
     return mean, float(student_t.sf((mean - 1) / stderr, len(by_sensor) - 1))
 
 
-def _variance_without(expanded: ExpandedForce, name: str | None) -> float:
-    return sum(part.contribution**2 for part in expanded.components if part.name != name)
+def _normalise(told: Told, without: str | None) -> float:
+    covariance = np.zeros((len(told.error_N), len(told.error_N)))
+    for name, dof, is_shared in {(part.name, part.dof, part.shared) for part in told.expanded[0].components}:
+        if name == without:
+            continue
+        by_load = [{part.name: part.contribution for part in expanded.components} for expanded in told.expanded]
+        contribution = np.array([contributions[name] for contributions in by_load])
+        # an estimate of few degrees of freedom has errors that are distributed as t, whose variance is larger
+        contribution = contribution * (1.0 if np.isinf(dof) else np.sqrt(dof / (dof - 2)))
+        correlation = np.ones_like(covariance) if is_shared else np.eye(len(covariance))
+        correlation = told.map_correlation if name == _MAP else correlation
+        covariance += np.outer(contribution, contribution) * correlation
+    return float(told.error_N @ np.linalg.solve(covariance, told.error_N)) / len(told.error_N)
 
 
 def mean_shares(told: Sequence[Told]) -> dict[str, float]:

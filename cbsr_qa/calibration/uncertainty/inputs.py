@@ -187,7 +187,13 @@ class ForceInputs:
         u_C = hypot((measured_C[1] - measured_C[0]) * _OF_WIDTH, reading_C)
         source = f"{per_C.value:.2%} a °C, within {measured_C[0]:.3g} to {measured_C[1]:.3g} °C: {per_C.source}"
         yield ForceInput(
-            "temperature", "B", Entry.FACTOR, hypot(per_C.value, per_C.stderr or 0.0) * u_C, source, rectangular=True
+            "temperature",
+            "B",
+            Entry.FACTOR,
+            hypot(per_C.value, per_C.stderr or 0.0) * u_C,
+            source,
+            shared=True,
+            rectangular=True,
         )
 
     def _readings(self, point: ForcePoint) -> Iterator[ForceInput | str]:

@@ -155,3 +155,25 @@ class ExpandedPlace:
     def U_mm(self) -> float:
         """Radius of the circle."""
         return self.budget.expanded
+
+
+@dataclass(frozen=True, slots=True)
+class ExpandedSettling:
+    """A mean settling time of a calibration's loads.
+
+    Parameters
+    ----------
+    signal, loading : as in :class:`~cbsr_qa.domain.results.calibration.SettlingSummary`.
+    mean_s : mean over the loads.
+    budget : uncertainty of the mean [s].
+    """
+
+    signal: str
+    loading: bool
+    mean_s: float
+    budget: Budget
+
+    @property
+    def U_s(self) -> float:
+        """Expanded uncertainty."""
+        return self.budget.expanded

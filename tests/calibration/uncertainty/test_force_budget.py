@@ -96,6 +96,7 @@ def test_a_load_cells_certificate_enters_with_drift_since_its_date_and_resolutio
         "place of indentation, x",
         "place of indentation, y",
         "line of the material",
+        "temperature",
         "drift of gains since the reference",
     }
 

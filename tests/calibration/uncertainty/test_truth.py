@@ -1,0 +1,58 @@
+"""Expanded uncertainties hold a truth that is drawn from what is stated, on fewer sensors than the benchmark has."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from benchmarks.expanded_uncertainty import (
+    SETTINGS,
+    hold_rates,
+    make_calibration,
+    mean_shares,
+    normalised_variance,
+    simulate_sensor,
+)
+from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
+
+SENSORS, LOADS = 60, 12
+
+
+@pytest.fixture(scope="module")
+def told():
+    issued = make_calibration(SETTINGS["usual"])
+    return [simulate_sensor(issued, seed, LOADS) for seed in range(SENSORS)]
+
+
+@pytest.mark.rest
+def test_u_holds_forces_and_places_of_95_percent(told):
+    for rate, stderr in hold_rates(told).values():
+        assert abs(rate - 0.95) < 3 * stderr + 0.01
+        assert stderr < 0.03
+    mean, _ = normalised_variance(told)
+    assert mean == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.rest
+def test_a_component_of_a_tenth_of_the_variance_shows_when_it_is_left_out(told):
+    shares = mean_shares(told)
+    large = [name for name, share in shares.items() if share >= 0.1]
+    assert len(large) >= 3
+    for name in large:
+        mean, p_value = normalised_variance(told, name)
+        assert (mean > 1, p_value < 0.01) == (True, True), name
+
+
+@pytest.mark.parametrize("role", ["stage", "thermometer", "source_meter"])
+def test_a_standard_that_is_not_stated_changes_u_by_its_share(role):
+    issued = make_calibration(SETTINGS["usual"])
+    without = replace(issued, standards=tuple(one for one in issued.standards if one.role != role))
+    (full,), (less,) = (evaluate_forces(one, [4.0], [(20.0, 10.0)]) for one in (issued, without))
+    kept = {part.name: part.contribution for part in less.components}
+    lost = (
+        sum(part.contribution**2 - kept.get(part.name, 0.0) ** 2 for part in full.components)
+        / full.standard_uncertainty_N**2
+    )
+    assert 0 < lost < 0.2  # of two axes, for a stage
+    assert pytest.approx(np.sqrt(1 - lost), rel=3e-3) == less.U_N / full.U_N
+    assert set(full.not_stated) < set(less.not_stated)
