@@ -5,13 +5,19 @@ GTC is imported where it is used: a run that states no expanded uncertainty does
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from math import floor, inf, isfinite, isnan
+from math import floor, inf, isfinite, isnan, sqrt
+from typing import Final
+
+import numpy as np
 
 from cbsr_qa.domain.errors import NumericsError
+from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.expanded_force import Budget, BudgetComponent
 
 #: Coverage probability of expanded uncertainties.
-COVERAGE = 0.95
+COVERAGE: Final = 0.95
+#: Pivot of a correlation matrix below which it is singular.
+_SINGULAR: Final = 1e-12
 
 
 @dataclass(frozen=True, slots=True)
@@ -85,15 +91,18 @@ def coverage_factor(dof: float, coverage: float = COVERAGE) -> float:
 def _check_inputs(inputs: Sequence[BudgetInput], correlations: Mapping[tuple[str, str], float]) -> None:
     names = [item.name for item in inputs]
     if len(set(names)) < len(names):
-        raise NumericsError("two inputs of a budget have one name")
+        raise NumericsError("two inputs of a budget have one name", remedy="name each")
     for item in inputs:
         if not (isfinite(item.contribution) and item.uncertainty >= 0):
-            raise NumericsError(f"the uncertainty of {item.name} is {item.uncertainty}, times {item.sensitivity}")
+            finding = f"the uncertainty of {item.name} is {item.uncertainty}, times {item.sensitivity}"
+            raise NumericsError(finding, remedy="give a number of at least 0, and a finite sensitivity")
         if not item.dof >= 1:
-            raise NumericsError(f"{item.name} has {item.dof} degrees of freedom; at least 1 is needed")
+            finding = f"{item.name} has {item.dof} degrees of freedom; at least 1 is needed"
+            raise NumericsError(finding, remedy="repeat the measurement")
     for pair, coefficient in correlations.items():
         if not (set(pair) <= set(names) and pair[0] != pair[1] and -1 <= coefficient <= 1):
-            raise NumericsError(f"{' and '.join(pair)} cannot be correlated by {coefficient}")
+            finding = f"{' and '.join(pair)} cannot be correlated by {coefficient}"
+            raise NumericsError(finding, remedy="correlate two inputs of the budget by −1 to 1")
 
 
 def _propagate(inputs: Sequence[BudgetInput], correlations: Mapping[tuple[str, str], float]) -> tuple[float, float]:
@@ -114,13 +123,32 @@ def _propagate(inputs: Sequence[BudgetInput], correlations: Mapping[tuple[str, s
 
 
 def _joint_variance(inputs: Sequence[BudgetInput], correlations: Mapping[tuple[str, str], float]) -> float:
-    """Return the variance of the sum of correlated inputs (JCGM 100, 5.2.2)."""
-    contribution = {item.name: item.contribution for item in inputs}
-    squares = sum(value**2 for value in contribution.values())
-    products = sum(2 * r * contribution[one] * contribution[other] for (one, other), r in correlations.items())
-    if squares + products < -1e-12 * squares:
-        raise NumericsError("the correlations of a budget's inputs give a negative variance")
-    return 0.0 if squares + products <= 1e-15 * squares else squares + products
+    """Return the variance cᵀ R c of the sum of correlated inputs (JCGM 100, 5.2.2), as ‖Lᵀ c‖² with R = L Lᵀ.
+
+    With r = −1 that is (c₁ − c₂)², which keeps the digits of what does not cancel.
+    """
+    number = {item.name: index for index, item in enumerate(inputs)}
+    matrix = np.eye(len(inputs))
+    for (one, other), coefficient in correlations.items():
+        matrix[number[one], number[other]] = matrix[number[other], number[one]] = coefficient
+    parts = _factor(matrix).T @ np.array([item.contribution for item in inputs])
+    return float(parts @ parts)
+
+
+def _factor(matrix: Array) -> Array:
+    """Return lower triangular L with L Lᵀ = a correlation matrix, which may be singular."""
+    rest, factor = matrix.copy(), np.zeros_like(matrix)
+    for column in range(len(matrix)):
+        pivot = rest[column, column]
+        if pivot > _SINGULAR:
+            factor[:, column] = rest[:, column] / sqrt(pivot)
+            rest -= np.outer(factor[:, column], factor[:, column])
+        elif pivot < -_SINGULAR or np.abs(rest[:, column]).max() > sqrt(_SINGULAR):
+            raise NumericsError(
+                "the correlations of a budget's inputs give a negative variance",
+                remedy="give correlations that can be true together",
+            )
+    return factor
 
 
 def _share_variance(

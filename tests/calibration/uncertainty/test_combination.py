@@ -107,3 +107,11 @@ def test_inputs_that_cannot_be_are_named(inputs, correlations, said):
     with pytest.raises(NumericsError) as caught:
         combine(inputs, correlations=correlations)
     assert said in caught.value.reason
+
+
+def test_correlations_that_cannot_be_true_together_are_refused():
+    inputs = [listed(name, 1.0) for name in ("one", "two", "three")]
+    with pytest.raises(NumericsError, match="negative variance"):
+        combine(inputs, correlations={("one", "two"): 1.0, ("two", "three"): 1.0, ("one", "three"): -1.0})
+    budget = combine(inputs, correlations={("one", "two"): 1.0, ("two", "three"): 1.0, ("one", "three"): 1.0})
+    assert budget.standard_uncertainty == pytest.approx(3)

@@ -8,7 +8,18 @@ from cbsr_qa.studies.hard_cases.case import HardCase
 #: Modules of cases, in the order of display.
 _MODULES: Final = (
     *("forward", "forward_exact", "forward_loads", "readings", "reconstruction", "smoothness", "imaging"),
-    *("geometry", "relaxation", "calibration", "batch", "decisions", "loads", "time", "statistics", "comparison"),
+    *(
+        "geometry",
+        "relaxation",
+        "calibration",
+        "batch",
+        "decisions",
+        "loads",
+        "time",
+        "statistics",
+        "comparison",
+        "uncertainty",
+    ),
 )
 
 
