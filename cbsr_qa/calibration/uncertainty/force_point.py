@@ -89,6 +89,10 @@ class ForcePoints:
     """Makes points of one calibration.
 
     CalibrationError if it has no force model.
+
+    Attributes
+    ----------
+    reference_rows : (r,) rows of the unloaded frame itself: what a common relative change of all readings adds.
     """
 
     def __init__(self, calibration: Calibration) -> None:
@@ -105,7 +109,7 @@ class ForcePoints:
             self.model, calibration.against_stress, calibration.indenter.area_mm2, map_tables(self.model)
         )
         reference = calibration.reference[calibration.reconstruction.problem.used]
-        self._reference_rows: Array = self.model.merging @ reference
+        self.reference_rows: Array = self.model.merging @ reference
 
     def at(self, force_N: float, place_mm: tuple[float, float]) -> ForcePoint:
         """Return the point of a force at a place. CalibrationError where the calibration knows no force."""
@@ -128,7 +132,7 @@ class ForcePoints:
             float(strength),
             float(mapped[1]),
             1 / energy**0.5,
-            float(template @ self._reference_rows) / energy,
+            float(template @ self.reference_rows) / energy,
             np.zeros(2),
             per_change,
             line.intercept.value,

@@ -1,6 +1,6 @@
 """Budgets of places that the model of the sheet tells (JCGM 100; JCGM 102 for two axes together)."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from math import hypot, sqrt
 from typing import Final
@@ -13,6 +13,7 @@ from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.uncertainty.budget import Place, list_forces, list_places
 from cbsr_qa.calibration.uncertainty.combination import COVERAGE, BudgetInput, combine
 from cbsr_qa.calibration.uncertainty.force_point import ForcePoints
+from cbsr_qa.calibration.uncertainty.inputs import IN_USE_YEARS
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
@@ -48,25 +49,57 @@ def evaluate_places(
             remedy="take the region that the runtime gives for each frame",
         )
     points = ForcePoints(calibration)
-    matched = TemplateFilter(points.model)
-    stage = find_standard(calibration.standards, StandardRole.STAGE)
-    stage_mm = 0.0 if stage is None else hypot(stage.standard_uncertainty, (stage.resolution or 0.0) / sqrt(12))
-    expanded = []
-    for place_mm in list_places(calibration) if places_mm is None else places_mm:
-        for force_N in list_forces(calibration) if forces_N is None else forces_N:
-            noise = _noise_covariance(matched, points.at(force_N, place_mm).strength, place_mm)
-            scatter_mm = points.model.place_scatter_mm
-            inputs = [
-                BudgetInput("noise of a frame", "A", sqrt(np.trace(noise) / 2), 1.0, "the run's frames at rest"),
-                BudgetInput("scatter of places", "A", scatter_mm, 1.0, "places found of the run's loads"),
-            ]
-            if stage is not None:
-                inputs.append(BudgetInput("place of indentation", "B", stage_mm, 1.0, stage.words(), shared=True))
-            budget = combine(inputs, not_stated=() if stage is not None else ("place of indentation",))
-            whole = noise + (scatter_mm**2 + stage_mm**2) * np.eye(2)
-            k = radius_of_circle(whole) / budget.standard_uncertainty
-            expanded.append(ExpandedPlace(place_mm, force_N, replace(budget, k=k)))
-    return tuple(expanded)
+    listing = _PlaceInputs(calibration, points)
+    return tuple(
+        listing.expand(force_N, place_mm)
+        for place_mm in (list_places(calibration) if places_mm is None else places_mm)
+        for force_N in (list_forces(calibration) if forces_N is None else forces_N)
+    )
+
+
+class _PlaceInputs:
+    """Inputs of places: each has a covariance (2, 2) of its displacements."""
+
+    def __init__(self, calibration: Calibration, points: ForcePoints) -> None:
+        self._points = points
+        self._matched = TemplateFilter(points.model)
+        self._stage = find_standard(calibration.standards, StandardRole.STAGE)
+        self._meter = find_standard(calibration.standards, StandardRole.SOURCE_METER)
+
+    def expand(self, force_N: float, place_mm: Place) -> ExpandedPlace:
+        inputs, not_stated, whole = [], [], np.zeros((2, 2))
+        for name, kind, covariance, source, is_shared in self._list(force_N, place_mm):
+            if covariance is None:
+                not_stated.append(name)
+                continue
+            whole += covariance
+            u_mm = sqrt(float(np.trace(covariance)) / 2)
+            inputs.append(BudgetInput(name, kind, u_mm, 1.0, source, shared=is_shared))
+        budget = combine(inputs, not_stated=not_stated)
+        k = radius_of_circle(whole) / budget.standard_uncertainty
+        return ExpandedPlace(place_mm, force_N, replace(budget, k=k))
+
+    def _list(self, force_N: float, place_mm: Place) -> Iterator[tuple[str, str, Array | None, str, bool]]:
+        """Yield name, kind, covariance (None if nothing gives a number), source, and whether it is shared."""
+        (slopes,) = self._matched.template_and_slopes(np.array([place_mm], dtype=np.float64))
+        strength = self._points.at(force_N, place_mm).strength
+        rows = slopes * np.array([1.0, strength, strength])[:, None]
+        covariance = np.linalg.inv(rows @ rows.T)
+        yield "noise of a frame", "A", covariance[1:, 1:], "the run's frames at rest", False
+        scatter_mm = self._points.model.place_scatter_mm
+        yield "scatter of places", "A", scatter_mm**2 * np.eye(2), "places found of the run's loads", False
+        drift = None if self._meter is None else self._meter.drift_uncertainty(IN_USE_YEARS)
+        name = "drift of gains since the reference"
+        if drift is None or self._meter is None:
+            yield name, "B", None, "", True
+        else:
+            moved_mm = drift * (covariance @ rows @ self._points.reference_rows)[1:]
+            yield name, "B", np.outer(moved_mm, moved_mm), self._meter.words(), True
+        if self._stage is None:
+            yield "place of indentation", "B", None, "", True
+        else:
+            u_mm = hypot(self._stage.standard_uncertainty, (self._stage.resolution or 0.0) / sqrt(12))
+            yield "place of indentation", "B", u_mm**2 * np.eye(2), self._stage.words(), True
 
 
 def radius_of_circle(covariance: Array, coverage: float = COVERAGE) -> float:
@@ -88,11 +121,3 @@ def radius_of_circle(covariance: Array, coverage: float = COVERAGE) -> float:
         return float(held) - coverage
 
     return float(brentq(missing, 0.1, 10.0)) * sqrt(larger)
-
-
-def _noise_covariance(matched: TemplateFilter, strength: float, place_mm: Place) -> Array:
-    """Covariance (2, 2) of a place by the noise of one frame, its strength being found with it [mm²]."""
-    (slopes,) = matched.template_and_slopes(np.array([place_mm], dtype=np.float64))
-    rows = slopes * np.array([1.0, strength, strength])[:, None]
-    covariance: Array = np.linalg.inv(rows @ rows.T)[1:, 1:]
-    return covariance

@@ -44,7 +44,18 @@ def test_without_scatter_a_place_is_as_uncertain_as_the_runtime_says():
     place_mm = tuple(told.place_mm[0].tolist())
     (expanded,) = evaluate_places(calibration, [float(told.force_N[0])], [place_mm])
     assert expanded.budget.standard_uncertainty == pytest.approx(float(told.place_stderr_mm[0]), rel=0.05)
-    assert expanded.budget.not_stated == ("place of indentation",)
+    assert expanded.budget.not_stated == ("drift of gains since the reference", "place of indentation")
+
+
+def test_a_drift_of_all_gains_moves_the_place_that_the_runtime_finds_as_much():
+    meter = ReferenceStandard("source_meter", "Q", "Lab", "2026-01-01", "2027-01-01", 0.1, 2.0, "%", 0.01)
+    calibration = replace(force_calibration(), standards=(meter,))
+    runtime, frame = Runtime(calibration), frames([PLACE], np.array([4.0]), noise=0.0)
+    told, up, down = (runtime.force(frame * (1 + sign * 0.0001 / sqrt(3))) for sign in (0, 1, -1))
+    (expanded,) = evaluate_places(calibration, [float(told.force_N[0])], [tuple(told.place_mm[0].tolist())])
+    (drift,) = [part for part in expanded.budget.components if part.name == "drift of gains since the reference"]
+    distance_mm = float(np.hypot(*(up.place_mm - down.place_mm)[0])) / 2
+    assert drift.standard_uncertainty == pytest.approx(distance_mm / sqrt(2), rel=0.05)
 
 
 def test_a_stage_is_part_of_a_place_and_shared():
