@@ -121,9 +121,8 @@ class Calibration(HeadForces):
     def expand(self, forces: Forces) -> "tuple[ExpandedForce | None, ...]":
         """Return the expanded uncertainty (U and k of 95 %) of each force that frames told, with its budget.
 
-        None for frames without a load, and for what is flagged as outside the calibrated range. Needs ``GTC``.
-
-        CalibrationError if that is missing, or a force is outside the range of the load cell's certificate.
+        None for frames without a load, and for what is outside the calibrated range or the load cell's certificate.
+        Needs ``GTC``: CalibrationError if that is missing.
         """
         try:
             import GTC  # noqa: F401 - a robot that needs no U does without it

@@ -1,7 +1,7 @@
 """Budgets of forces that a calibrated sensor tells (JCGM 100)."""
 
 from collections.abc import Iterator, Sequence
-from math import sqrt
+from math import hypot, inf, sqrt
 from typing import Final
 
 from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, Forces
@@ -15,6 +15,7 @@ from cbsr_qa.domain.results.calibration import Calibration
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
 
 Place = tuple[float, float]
+_ROUNDING_MM: Final = 1e-6
 #: Forces with one of these flags are beyond what was calibrated, or no force of one load.
 _NO_CLAIM: Final = NO_FORCE | int(
     Flag.NOT_DETECTED | Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE | Flag.WRONG_SIGN | Flag.OTHER_HEAD
@@ -48,10 +49,12 @@ def evaluate_forces(
     points = ForcePoints(calibration)
     hold_s = points.model.steady_s if settling_s is None else settling_s
     stated_N = list_forces(calibration) if forces_N is None else tuple(forces_N)
-    _check_stated(calibration, stated_N, hold_s)
+    stated_mm = list_places(calibration) if places_mm is None else tuple(places_mm)
+    for problem in _find_problems(calibration, stated_N, stated_mm, hold_s):
+        raise CalibrationError(problem, remedy="state what was calibrated, or calibrate again with what covers it")
     listing = ForceInputs(calibration, points.model, hold_s)
     expanded = []
-    for place_mm in list_places(calibration) if places_mm is None else places_mm:
+    for place_mm in stated_mm:
         for force_N in stated_N:
             point = points.at(force_N, place_mm)
             inputs, not_stated = listing.list_at(point)
@@ -65,21 +68,17 @@ def expand_forces(calibration: Calibration, forces: Forces) -> tuple[ExpandedFor
     """Return the uncertainty of each force that frames told, at the place where it was found.
 
     What ``stderr_N`` of a frame has beyond a known place (the error of its place, other heads, readings left out) is
-    one more input. None for frames without a load, and for what is flagged as outside the calibrated range.
-
-    Raises
-    ------
-    CalibrationError
-        As for :func:`evaluate_forces`.
+    one more input. None for frames without a load, for what is flagged as outside the calibrated range, and for
+    forces that the load cell's certificate does not cover. CalibrationError without a force model.
     """
     points = ForcePoints(calibration)
     listing = ForceInputs(calibration, points.model, points.model.steady_s)
     expanded: list[ExpandedForce | None] = []
     for frame, force_N in enumerate(forces.force_N.tolist()):
-        if forces.flags[frame] & _NO_CLAIM or not force_N > 0:
+        uncovered = any(_find_uncovered(calibration, (force_N,)))
+        if forces.flags[frame] & _NO_CLAIM or not force_N > 0 or uncovered:
             expanded.append(None)
             continue
-        _check_stated(calibration, (force_N,), points.model.steady_s)
         x_mm, y_mm = forces.place_mm[frame].tolist()
         point = points.at(force_N, (x_mm, y_mm))
         inputs, not_stated = listing.list_at(point)
@@ -110,20 +109,27 @@ def list_places(calibration: Calibration) -> tuple[Place, ...]:
     return tuple(dict.fromkeys(places)) or ((0.0, 0.0),)
 
 
-def _check_stated(calibration: Calibration, forces_N: Sequence[float], settling_s: float) -> None:
-    for problem in _find_problems(calibration, forces_N, settling_s):
-        raise CalibrationError(
-            problem, remedy="state it within the range, or calibrate with a standard that covers it"
-        )
-
-
-def _find_problems(calibration: Calibration, forces_N: Sequence[float], settling_s: float) -> Iterator[str]:
+def _find_problems(
+    calibration: Calibration, forces_N: Sequence[float], places_mm: Sequence[Place], settling_s: float
+) -> Iterator[str]:
+    """Yield what is outside the calibrated range, or the standards'."""
     if not settling_s >= 0:
         yield f"a settling time of {settling_s} s is negative"
+    low_N, high_N = calibration.validity.force_N or (0.0, inf)
+    for force_N in forces_N:
+        if not (force_N > 0 and low_N <= force_N <= high_N):
+            yield f"a force of {force_N:.3g} N is outside the calibrated range, {low_N:.3g} to {high_N:.3g} N"
+    for x_mm, y_mm in places_mm:
+        if not hypot(x_mm, y_mm) <= calibration.validity.radius_mm + _ROUNDING_MM:
+            reach = f"within {calibration.validity.radius_mm:.3g} mm of the centre"
+            yield f"({x_mm:g}, {y_mm:g}) mm is outside the calibrated area, {reach}"
+    yield from _find_uncovered(calibration, forces_N)
+
+
+def _find_uncovered(calibration: Calibration, forces_N: Sequence[float]) -> Iterator[str]:
+    """Yield forces, and a current, that certificates do not cover."""
     load_cell = find_standard(calibration.standards, StandardRole.LOAD_CELL)
     for force_N in forces_N:
-        if not force_N > 0:
-            yield f"a force of {force_N} N is not positive"
         if load_cell is not None and not load_cell.covers(force_N):
             certificate = f"certificate {load_cell.certificate} of the load cell covers {load_cell.range_words()}"
             yield f"{force_N:.3g} N is outside its standard's range: {certificate}"

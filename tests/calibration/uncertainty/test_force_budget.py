@@ -195,10 +195,15 @@ def test_the_grid_is_least_middle_and_greatest_force_at_the_places_that_calibrat
     ("change", "arguments", "said"),
     [
         ({"force": None, "no_force": "no load had a force"}, {}, "states no force, and so no uncertainty of it"),
-        ({}, {"forces_N": [0.2]}, "0.2 N is outside its standard's range: certificate K-1"),
-        ({}, {"forces_N": [-1.0]}, "a force of -1.0 N is not positive"),
-        ({}, {"forces_N": [float("nan")]}, "a force of nan N is not positive"),
-        ({}, {"places_mm": [(80.0, 0.0)]}, "(80, 0) mm with"),
+        (
+            {"standards": (replace(LOAD_CELL, range_low=2.0),)},
+            {},
+            "1 N is outside its standard's range: certificate K-1",
+        ),
+        ({}, {"forces_N": [0.2]}, "a force of 0.2 N is outside the calibrated range, 1 to 5.5 N"),
+        ({}, {"forces_N": [-1.0]}, "a force of -1 N is outside the calibrated range"),
+        ({}, {"forces_N": [float("nan")]}, "a force of nan N is outside the calibrated range"),
+        ({}, {"places_mm": [(40.0, 0.0)]}, "(40, 0) mm is outside the calibrated area, within 36.3 mm"),
         ({}, {"settling_s": -1.0}, "a settling time of -1.0 s is negative"),
         ({"current_A": 0.05}, {}, "the drive current was 50 mA: certificate Q-1"),
     ],
@@ -228,6 +233,8 @@ def test_the_runtime_gives_each_told_force_an_expanded_uncertainty(stated):
     known = runtime.expand(runtime.force(seen[:1], place_mm=PLACE))[0]
     assert uncertainties(known)["place found in the frame"] == pytest.approx(0.0, abs=1e-6)
     assert uncertainties(first)["place found in the frame"] > 0
+    narrow = Runtime(replace(stated, standards=(replace(LOAD_CELL, range_low=3.0),)))
+    assert [one is None for one in narrow.expand(forces)] == [True, False, True]
     (grid,) = evaluate_forces(stated, [known.force_N], [PLACE])
     assert known.standard_uncertainty_N == pytest.approx(grid.standard_uncertainty_N)
 
