@@ -6,6 +6,8 @@ from datetime import date, datetime
 from math import hypot, inf, sqrt
 from typing import Final
 
+import numpy as np
+
 from cbsr_qa.calibration.uncertainty.combination import BudgetInput
 from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoint
 from cbsr_qa.calibration.uncertainty.transients import kernel_error
@@ -70,6 +72,7 @@ class ForceInputs:
             *self._head(),
             *self._position(point),
             *self._map(point),
+            *self._line(point),
             *self._transients(point),
             *self._repeated(),
             *self._temperature(),
@@ -131,22 +134,25 @@ class ForceInputs:
             yield ForceInput(
                 "map of the batch", "A", Entry.RESPONSE, stderr * sqrt(shared_share), words, in_runtime=True
             )
-        line = self.calibration.against_stress
-        slope, intercept = line.slope.stderr or 0.0, line.intercept.stderr or 0.0
+
+    def _line(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+        line, name = self.calibration.against_stress, "line of the material"
+        if line.slope.stderr is None and line.intercept.stderr is None:
+            yield name
+            return
         stress_kPa = point.force_N / self.calibration.indenter.area_mm2 * 1e3
-        covariance = line.covariance or 0.0
-        together = slope * (-1.0 if covariance < 0 else 1.0) * stress_kPa + intercept
-        u = together if covariance else hypot(slope * stress_kPa, intercept)
-        kind = "A" if line.intercept.source.startswith("fitted") else "B"
+        # the sign is that of a line that turns about the stress where its error vanishes
+        turning = 1.0 if (line.covariance or 0.0) >= 0 else -1.0
+        at_stress = (line.intercept.stderr or 0.0) + turning * (line.slope.stderr or 0.0) * stress_kPa
         yield ForceInput(
-            "line of the material",
-            kind,
+            name,
+            "A" if line.intercept.source.startswith("fitted") else "B",
             Entry.LINE,
-            abs(u),
+            sqrt(float(line.variance(np.array(stress_kPa)))),
             line.intercept.source,
             in_runtime=True,
             shared=True,
-            sign=-1.0 if u < 0 else 1.0,
+            sign=-1.0 if at_stress < 0 else 1.0,
         )
 
     def _transients(self, point: ForcePoint) -> Iterator[ForceInput | str]:

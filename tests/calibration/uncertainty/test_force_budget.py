@@ -16,7 +16,7 @@ from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.calibration import BaselineConductance, BatchUse
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
-from cbsr_qa.domain.sensor.sensor_type import Parameter
+from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 LOAD_CELL = ReferenceStandard(
     "load_cell", "K-1", "Lab", "2026-01-01", "2027-01-01", 0.5, 2.0, "%", 0.3, 0.005, 0.5, 20.0
@@ -146,6 +146,18 @@ def test_few_repeated_loads_widen_the_coverage_factor(stated):
     assert 1.96 < many.k < few.k
     assert {part.name: part.dof for part in few.components}["repeatability"] == 2
     assert few.standard_uncertainty_N == pytest.approx(many.standard_uncertainty_N)
+
+
+def test_a_line_whose_slope_and_intercept_are_partly_correlated_has_their_variance(stated):
+    line = QuasiStatic(Parameter(4.5e-3, 2e-4, "paper"), Parameter(-1e-3, 2e-3, "assumed"), covariance=-2e-7)
+    (expanded,) = evaluate_forces(replace(stated, against_stress=line), [2.0], [PLACE])
+    area_mm2 = stated.indenter.area_mm2
+    stress_kPa = 2.0 / area_mm2 * 1e3
+    variance = (2e-4 * stress_kPa) ** 2 + 2e-3**2 - 2 * stress_kPa * 2e-7
+    assert uncertainties(expanded)["line of the material"] == pytest.approx(sqrt(variance) * area_mm2 / 4.5)
+    unknown = QuasiStatic(Parameter(4.5e-3, None, "paper"), Parameter(-1e-3, None, "assumed"))
+    (expanded,) = evaluate_forces(replace(stated, against_stress=unknown), [2.0], [PLACE])
+    assert "line of the material" in expanded.not_stated
 
 
 def test_what_comes_from_the_batch_is_a_part_of_the_maps_variance(stated):
