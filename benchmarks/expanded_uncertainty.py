@@ -73,7 +73,7 @@ SETTINGS: Final = {
     "usual": Setting(),
     "a coarse load cell": Setting(load_cell_percent=8.0, drift_percent=1.0),
     "a load cell that drifts": Setting(drift_percent=6.0, map_stderr=0.02, scatter=0.015),
-    "a coarse stage": Setting(stage_mm=4.0, map_stderr=0.015, scatter=0.01, noise=0.3),
+    "a coarse stage": Setting(stage_mm=2.0, map_stderr=0.015, scatter=0.01, noise=0.3),
     "gains that drift": Setting(gain_percent=0.05),
     "a warm room": Setting(per_C=0.03),
     "a map of few places": Setting(map_stderr=0.12),

@@ -111,7 +111,7 @@ def test_what_is_wrong_with_a_station_fails_and_is_in_the_reports_it_writes(
     report = json.loads(capsys.readouterr().out)["report"]
     page = (tmp_path / report).read_text()
     said = re.search(r"Station wrong was last checked less than a minute before this run began[^<]*", page)[0]
-    assert said.endswith(": of 10 checks, 1 failed.")
+    assert said.endswith(": of 11 checks, 1 failed.")
     assert f"reference ring, {name}: failed. What to do: {failed[name]['remedy']}" in page.replace("&#39;", "'")
 
 

@@ -22,6 +22,7 @@ from cbsr_qa.domain.errors import CalibrationError, NumericsError
 from cbsr_qa.domain.kept import as_filed
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import BatchUse
+from cbsr_qa.domain.sensor.sensor_type import Parameter
 from cbsr_qa.eit.estimate.readings import load_model, merge_reciprocal
 
 _DOCS = Path(__file__).parents[3] / "docs"
@@ -105,7 +106,10 @@ def test_every_dataset_is_on_the_page_with_its_unit_and_kind_and_no_other():
     rows = re.findall(r"^\| `([^`]+)`( \(where it applies\))? \| ([^|]+) \| ([^|]+) \|", _PAGE, re.M)
     said = {path: (units.strip(), kind.strip()) for path, optional, units, kind in rows if not optional}
     found = {}
-    sample = replace(sample_calibration(), standards=(LOAD_CELL, INDENTER))
+    stated = replace(LOAD_CELL, drift_a_year=0.1, resolution=0.01, range_low=0.5, range_high=20.0)
+    sample = replace(
+        sample_calibration(), standards=(stated, INDENTER), response_per_C=Parameter(0.01, None, "paper")
+    )
     sample = replace(sample, force=replace(sample.force, batch=BatchUse("d" * 64, True, 0.4, 0.3)))
     filed = replace(sample, reconstruction=as_filed(sample.reconstruction))
     for path, entry in encode(filed).items():
