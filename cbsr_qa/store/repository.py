@@ -23,7 +23,13 @@ from cbsr_qa.store.runs.outcomes import SensorRuns
 from cbsr_qa.store.runs.runs import Runs
 from cbsr_qa.store.stations import StationChecks
 from cbsr_qa.store.tables.records import ChartReferenceRow, ReleaseRow, StationCheckRow, VerdictOverrideRow
-from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
+from cbsr_qa.store.tables.results import (
+    AnalysisRow,
+    CalibrationRow,
+    CertificateRow,
+    CertificateWithdrawalRow,
+    ReanalysisRow,
+)
 from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, SampleBlockRow, SensorRow
 from cbsr_qa.store.types import IdSource, time_of_id
 
@@ -32,6 +38,7 @@ if TYPE_CHECKING:
     from cbsr_qa.store.listed import RunLists
     from cbsr_qa.store.releases import Releases
     from cbsr_qa.store.results.calibrations import Calibrations
+    from cbsr_qa.store.results.certificates import Certificates
     from cbsr_qa.store.results.reanalyses import Reanalyses
     from cbsr_qa.store.runs.archiving import RunArchives
     from cbsr_qa.store.runs.live import LiveRuns
@@ -58,7 +65,7 @@ class Repository:
     runs, unfinished, live : runs by their identifier; those without a result; those that somebody watches.
     sensors, fleet, lists : runs of one sensor; of many, with their values; as a shift lists them.
     claims, archives : runs and sensors that processes work on now; frames outside of the database.
-    analyses, reanalyses, calibrations : results of runs.
+    analyses, reanalyses, calibrations, certificates : results of runs.
     changes : changed files and overridden verdicts.
     stations, charts, releases : checks of stations, references of control charts, released files.
     soundness : damage, and missing data.
@@ -119,6 +126,12 @@ class Repository:
         from cbsr_qa.store.results.calibrations import Calibrations
 
         return Calibrations(self._engine)
+
+    @cached_property
+    def certificates(self) -> "Certificates":
+        from cbsr_qa.store.results.certificates import Certificates
+
+        return Certificates(self._engine, self.new_id, self._wall)
 
     @cached_property
     def releases(self) -> "Releases":
@@ -214,6 +227,8 @@ class Repository:
             VerdictOverrideRow.override_id,
             ReanalysisRow.reanalysis,
             ReleaseRow.release_id,
+            CertificateRow.certificate,
+            CertificateWithdrawalRow.withdrawal,
         )
         with reading(self._engine) as connection:
             highest_ids = connection.execute(

@@ -31,7 +31,7 @@ from cbsr_qa.store.views import create_views, drop_views, views_missing
 #: that is up to date costs no import of Alembic; a test compares it with the migration scripts.
 #: They are compared as text, also by programs from before 0.1.0, whose own went from 0001 to 0024: counted from 1001,
 #: none can be taken for one of those, and all come after them.
-REVISIONS: Final = ("1001", "1002", "1003")
+REVISIONS: Final = ("1001", "1002", "1003", "1004")
 HEAD: Final = REVISIONS[-1]
 _UNRELEASED: Final = frozenset(f"{number:04}" for number in range(1, 25))
 #: Place where Alembic finds the migrations.

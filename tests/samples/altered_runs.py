@@ -4,6 +4,7 @@ import hashlib
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
+from datetime import UTC, datetime
 
 from calibration_samples import sample_force
 from sqlalchemy import JSON, Boolean, DateTime, Double, Integer, LargeBinary, create_engine, select
@@ -12,6 +13,7 @@ from stored_runs import SETTING, calibration, short_run
 from cbsr_qa.calibration.file.hdf5 import stamp
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.certificate_records import IssuedCertificate
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
@@ -36,7 +38,7 @@ def fill(url):
     """Store two runs of a sensor, and return the second one's name.
 
     It has a re-analysis that was adopted, an analysis that failed, a calibration, and an override to a pass; its
-    recipe is not the one of the first run, which passed.
+    recipe is not the one of the first run, which passed. A certificate of it was replaced by another.
     """
     with open_store(url) as store:
         first, second = store.new_id(), store.new_id()
@@ -51,7 +53,30 @@ def fill(url):
         store.reanalyses.adopt(store.reanalyses.save(again), operator="Zoë", why="corrected")
         store.analyses.save(RunResult(record, None, FAILED, decide(FAILED), issued, "", warnings=("one", "two")))
         store.changes.override_verdict(second, Outcome.PASS, operator="Zoë", why="seen")
+        first_certificate = certificate(second, issued.calibration)
+        store.certificates.save(first_certificate)
+        store.certificates.save(
+            replace(first_certificate, number="LAB-2", replaces="LAB-1", why="name corrected", signature="{}")
+        )
     return second
+
+
+def certificate(run, calibration, **changes):
+    """Return a certificate of a run, with documents that nobody can read."""
+    values = {
+        "number": "LAB-1",
+        "run": run,
+        "calibration": calibration,
+        "issued_at": datetime(2026, 11, 22, 9, 30, tzinfo=UTC),
+        "signatory": "Zoë Ōtani",
+        "valid_until": "2027-11-22",
+        "replaces": None,
+        "why": "",
+        "html": b"<p>page</p>",
+        "dcc": b"<dcc/>",
+        "signature": None,
+    }
+    return IssuedCertificate(**(values | changes))
 
 
 def _journal(store, run, configuration, **options):

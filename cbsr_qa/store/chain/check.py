@@ -44,7 +44,12 @@ RESULTS: Final = frozenset(
 IDENTITY: Final = frozenset({"runs", "instruments", "run_parts"})
 ALL_KINDS: Final = frozenset({*KEYS, FIGURES})
 #: Documents that state what followed from the data of a run, or what people decided.
-_CONCLUDED: Final = RESULTS - {"runs"} | {"verdict_overrides", "reanalyses"}
+_CONCLUDED: Final = RESULTS - {"runs"} | {
+    "verdict_overrides",
+    "reanalyses",
+    "certificates",
+    "certificate_withdrawals",
+}
 #: Names from which on PostgreSQL is asked for a range of them, where that is possible.
 _MIN_RANGE: Final = 20
 #: Remedy for a run that was altered.

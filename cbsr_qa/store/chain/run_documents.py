@@ -38,6 +38,8 @@ from cbsr_qa.store.tables.results import (
     AnalysisRow,
     BaselineRow,
     CalibrationRow,
+    CertificateRow,
+    CertificateWithdrawalRow,
     MeasurementRow,
     ReanalysisRow,
     WarningRow,
@@ -89,6 +91,8 @@ KEYS: Final[dict[str, tuple[str, ...]]] = {
         (VerdictOverrideRow, ("override_id",)),
         (ReanalysisRow, ("reanalysis",)),
         (AdoptionRow, ("analysis",)),
+        (CertificateRow, ("certificate",)),
+        (CertificateWithdrawalRow, ("withdrawal",)),
     )
 }
 #: Columns that no digest covers: the chain that an end of a phase is in says of which run it is.

@@ -16,12 +16,19 @@ from cbsr_qa.store.chain.links import OF_A_SESSION, SigningKey, checking_key, li
 from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
 from cbsr_qa.store.chain.run_documents import FIGURES, KEYS, figures_digest, name_document, tables
 from cbsr_qa.store.results.calibrations import check_files
+from cbsr_qa.store.results.certificates import check_documents
 from cbsr_qa.store.runs.codec import frame_block, frame_values
 from cbsr_qa.store.runs.many_blocks import check_many_frames, check_many_samples
 from cbsr_qa.store.runs.rows import current_state
 from cbsr_qa.store.sync.rows import columns_of, counts_of, is_bytes, raw_select, within
 from cbsr_qa.store.tables.records import LinkRow, VerdictOverrideRow
-from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, ReanalysisRow
+from cbsr_qa.store.tables.results import (
+    AnalysisRow,
+    CalibrationRow,
+    CertificateRow,
+    CertificateWithdrawalRow,
+    ReanalysisRow,
+)
 from cbsr_qa.store.tables.runs import Base, FrameBlockRow, PhaseEndRow, RunRow, SampleBlockRow, SensorRow
 
 #: Most documents and bytes of blocks in one parcel: a second of work, and memory of a few times the bytes.
@@ -32,6 +39,7 @@ MOST_BYTES: Final = 16_000_000
 _MAX_LINKS_AT_ONCE: Final = 64
 _BEGINS: Final = OF_A_SESSION | {
     *(model.__tablename__ for model in (PhaseEndRow, AnalysisRow, VerdictOverrideRow, ReanalysisRow)),
+    *(model.__tablename__ for model in (CertificateRow, CertificateWithdrawalRow)),
 }
 
 #: Checks of the bytes of rows, which no digest of its document covers.
@@ -39,6 +47,7 @@ _CHECKED: Final[Mapping[str, Any]] = {
     FrameBlockRow.__tablename__: check_many_frames,
     SampleBlockRow.__tablename__: check_many_samples,
     CalibrationRow.__tablename__: check_files,
+    CertificateRow.__tablename__: check_documents,
 }
 _BLOCK_TABLES: Final = (FrameBlockRow.__tablename__, SampleBlockRow.__tablename__)
 

@@ -1,4 +1,4 @@
-"""Tables of results: analyses with measurements, and calibrations.
+"""Tables of results: analyses with measurements, calibrations, and certificates.
 
 Judging a run again adds an analysis; the latest calibration of a sensor is valid. Rows are never changed.
 """
@@ -148,3 +148,40 @@ class BaselineRow(Base):
     stderr: Mapped[float | None]
     loads: Mapped[int]
     why: Mapped[str]
+
+
+class CertificateRow(Base):
+    """Calibration certificate of a run, as it was issued; what happened to it later is a row of its own."""
+
+    __tablename__ = "certificates"
+    __table_args__ = (Index(None, "run"), Index(None, "number", unique=True))
+
+    certificate: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
+    number: Mapped[str] = mapped_column(Word(96))
+    issued_at: Mapped[datetime]
+    signatory: Mapped[str]
+    valid_until: Mapped[str | None] = mapped_column(Word(10))  #: ISO date; None: not stated
+    replaces: Mapped[str | None] = mapped_column(Word(96))  #: number of another certificate
+    why: Mapped[str]  #: reason for replacing it; empty without
+    html: Mapped[bytes]
+    html_sha256: Mapped[str] = mapped_column(Word(64))
+    dcc: Mapped[bytes]  #: digital calibration certificate, XML
+    dcc_sha256: Mapped[str] = mapped_column(Word(64))
+    signature: Mapped[str | None]  #: text of the signature file; None: not signed
+
+
+class CertificateWithdrawalRow(Base):
+    """A certificate was replaced or revoked; it is under the chain of the run that the certificate is of."""
+
+    __tablename__ = "certificate_withdrawals"
+    __table_args__ = (Index(None, "run"), Index(None, "number"))
+
+    withdrawal: Mapped[str] = mapped_column(Identifier, primary_key=True)
+    run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
+    number: Mapped[str] = mapped_column(Word(96))
+    replaced_by: Mapped[str | None] = mapped_column(Word(96))  #: None: revoked
+    operator: Mapped[str]
+    why: Mapped[str]
+    noted_at: Mapped[datetime]

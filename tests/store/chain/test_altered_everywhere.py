@@ -67,6 +67,10 @@ READERS = {
         {"reanalyses"},
         refusing(lambda store, run: [store.reanalyses.load(one) for one in store.reanalyses.list_names(run)] or None),
     ),
+    "certificate": (
+        {"certificates", "certificate_withdrawals", "analyses"},
+        refusing(lambda store, run: store.certificates.load("LAB-1")),
+    ),
     "file of a calibration": (
         {"calibrations"},
         refusing(

@@ -1,0 +1,174 @@
+"""Certificates of runs, their replacement and revocation: appended under the chains of their runs, never changed."""
+
+import hashlib
+from collections.abc import Callable, Iterable
+from datetime import datetime
+from typing import Any, Final
+
+from sqlalchemy import Connection, Engine, func, select
+
+from cbsr_qa.domain.errors import StoreError
+from cbsr_qa.domain.results.certificate_records import CertificateWithdrawal, IssuedCertificate, StoredCertificate
+from cbsr_qa.store.chain.check import check_run
+from cbsr_qa.store.chain.links import add_rows
+from cbsr_qa.store.engine import reading, writing
+from cbsr_qa.store.mapping import convert_row, row_of
+from cbsr_qa.store.tables.results import AnalysisRow, CertificateRow, CertificateWithdrawalRow
+from cbsr_qa.store.tables.runs import RunRow
+
+#: Documents that say whether a certificate stands; with analyses, a link that is missing after them is noticed.
+_KINDS: Final = frozenset(
+    {CertificateRow.__tablename__, CertificateWithdrawalRow.__tablename__, AnalysisRow.__tablename__}
+)
+_LIST: Final = "cbsr-qa certificate list names the certificates of a database"
+
+
+class Certificates:
+    """Certificates of runs."""
+
+    def __init__(self, engine: Engine, new_id: Callable[[], str], wall: Callable[[], datetime]) -> None:
+        self._engine = engine
+        self._new_id = new_id
+        self._wall = wall
+
+    def count(self, run: str) -> int:
+        """Return how many certificates were issued of a run, those that were withdrawn too."""
+        query = select(func.count()).where(CertificateRow.run == run)
+        with reading(self._engine) as connection:
+            return connection.scalar(query) or 0
+
+    def save(self, issued: IssuedCertificate) -> None:
+        """Store a certificate, and the withdrawal of the one that it replaces, in one transaction.
+
+        Raises
+        ------
+        StoreError
+            If its run or that of the replaced one was altered, the replaced one does not stand or is of another
+            sensor, or another certificate of the run stands; nothing is stored then.
+        """
+        certificate, withdrawal = self._new_id(), self._new_id()
+        with writing(self._engine) as connection:
+            check_run(connection, issued.run)
+            replaced = None if issued.replaces is None else _read_standing(connection, issued.replaces)
+            _check_replacement(connection, issued, replaced)
+            digests = {"html_sha256": _sha256(issued.html), "dcc_sha256": _sha256(issued.dcc)}
+            row = row_of(CertificateRow, issued, certificate=certificate, **digests)
+            add_rows(connection, issued.run, CertificateRow, [row])
+            if replaced is not None:
+                self._withdraw(connection, replaced, withdrawal, issued.number, issued.signatory, issued.why)
+
+    def revoke(self, number: str, *, operator: str, why: str) -> StoredCertificate:
+        """Revoke a certificate, and return it as it is then; its documents stay.
+
+        Raises
+        ------
+        StoreError
+            If there is no such certificate, it does not stand, or its run was altered.
+        """
+        withdrawal = self._new_id()
+        with writing(self._engine) as connection:
+            stored = _read_standing(connection, number)
+            check_run(connection, stored.issued.run)
+            self._withdraw(connection, stored, withdrawal, None, operator, why)
+        return self.load(number)
+
+    def _withdraw(
+        self,
+        connection: Connection,
+        stored: StoredCertificate,
+        withdrawal: str,
+        replaced_by: str | None,
+        operator: str,
+        why: str,
+    ) -> None:
+        row = {
+            "withdrawal": withdrawal,
+            "run": stored.issued.run,
+            "number": stored.issued.number,
+            "replaced_by": replaced_by,
+            "operator": operator,
+            "why": why,
+            "noted_at": self._wall(),
+        }
+        add_rows(connection, stored.issued.run, CertificateWithdrawalRow, [row])
+
+    def find(self, number: str) -> StoredCertificate | None:
+        """Return a certificate, None without one. StoreError if its run, or a document of it, was altered."""
+        with reading(self._engine) as connection:
+            return _find(connection, number)
+
+    def load(self, number: str) -> StoredCertificate:
+        """Return a certificate. StoreError if there is none, or it was altered."""
+        with reading(self._engine) as connection:
+            return _load(connection, number)
+
+    def list_all(self, serial: str | None = None) -> tuple[StoredCertificate, ...]:
+        """Return the certificates of one sensor, or all, in the order they were issued; errors as :meth:`find`."""
+        row = CertificateRow
+        query = select(row.number).join(RunRow, RunRow.run == row.run).order_by(row.certificate)
+        with reading(self._engine) as connection:
+            numbers = connection.scalars(query if serial is None else query.where(RunRow.serial == serial)).all()
+            return tuple(_load(connection, number) for number in numbers)
+
+
+def check_documents(rows: Iterable[Any]) -> None:
+    """Check the documents in rows of certificates. StoreError names the certificate that has another."""
+    for row in rows:
+        for kind, data, digest in (("page", row.html, row.html_sha256), ("XML", row.dcc, row.dcc_sha256)):
+            if data is None or _sha256(data) != digest:
+                raise StoreError(
+                    f"certificate {row.number}: its {kind} is not what was stored",
+                    remedy="restore the database from a copy",
+                )
+
+
+def _check_replacement(connection: Connection, issued: IssuedCertificate, replaced: StoredCertificate | None) -> None:
+    serial = connection.scalar(select(RunRow.serial).where(RunRow.run == issued.run))
+    if replaced is not None and replaced.serial != serial:
+        raise StoreError(f"certificate {issued.replaces} is of sensor {replaced.serial}, not of {serial}")
+    withdrawn = select(CertificateWithdrawalRow.number)
+    standing = select(CertificateRow.number).where(
+        CertificateRow.run == issued.run, CertificateRow.number.not_in(withdrawn)
+    )
+    for number in connection.scalars(standing):
+        if number != issued.replaces:
+            raise StoreError(
+                f"certificate {number} of this run stands",
+                remedy="--replaces NUMBER --reason TEXT issues one in its place",
+            )
+
+
+def _read_standing(connection: Connection, number: str) -> StoredCertificate:
+    stored = _load(connection, number)
+    if stored.withdrawal is not None:
+        raise StoreError(f"certificate {number} does not stand: it was {stored.withdrawal.words}")
+    return stored
+
+
+def _load(connection: Connection, number: str) -> StoredCertificate:
+    stored = _find(connection, number)
+    if stored is None:
+        raise StoreError(f"there is no certificate {number[:96]!r} in this database", remedy=_LIST)
+    return stored
+
+
+def _find(connection: Connection, number: str) -> StoredCertificate | None:
+    row, withdrawn = CertificateRow, CertificateWithdrawalRow
+    run = connection.scalar(select(row.run).where(row.number == number))
+    if run is None:
+        return None
+    check_run(connection, run, _KINDS)
+    query = select(*row.__table__.columns, RunRow.serial).join(RunRow, RunRow.run == row.run)
+    stored: Any = connection.execute(query.where(row.number == number)).one()
+    check_documents([stored])
+    later = select(*withdrawn.__table__.columns).where(withdrawn.number == number).order_by(withdrawn.withdrawal)
+    withdrawal = connection.execute(later.limit(1)).one_or_none()
+    return StoredCertificate(
+        convert_row(IssuedCertificate, stored),
+        stored.serial,
+        None if withdrawal is None else convert_row(CertificateWithdrawal, withdrawal),
+    )
+
+
+def _sha256(data: bytes) -> str:
+    return hashlib.sha256(data).hexdigest()
