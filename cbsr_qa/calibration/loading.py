@@ -1,6 +1,7 @@
 """Calibration files of every kind, read to be used; needs only numpy, scipy and h5py."""
 
 from collections.abc import Callable
+from datetime import UTC, date, datetime
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
@@ -21,7 +22,14 @@ ESTIMATORS: Final[dict[type, Callable[[Any], Estimator]]] = {
 }
 
 
-def load_calibration(path: str | Path, *, public_key: str | Path | None = None) -> Estimator:
+def load_calibration(
+    path: str | Path,
+    *,
+    public_key: str | Path | None = None,
+    certificate: str | Path | None = None,
+    withdrawn: str | Path | None = None,
+    today: date | None = None,
+) -> Estimator:
     """Read a calibration file, of a run or of labelled presses.
 
     Apply it to frames with :meth:`Estimator.estimate`. ``Calibration.load`` and ``PressCalibration.load`` read one
@@ -29,16 +37,28 @@ def load_calibration(path: str | Path, *, public_key: str | Path | None = None) 
 
     Parameters
     ----------
-    public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked.
+    public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked. With a
+        certificate, the key that must have signed that one, which names the calibration by its SHA-256.
+    certificate : signature file of its certificate, which must not have lapsed; None: not checked.
+    withdrawn : list of withdrawn certificates, signed with the same key; the calibration's must not be on it.
+    today : day on which the certificate must be valid; None for the computer's (UTC).
 
     Raises
     ------
     CalibrationError
-        If the file is missing, damaged, of a later version, holds no force model, or is not signed by that key.
+        If the file is missing, damaged, of a later version, holds no force model, is not signed by that key, or its
+        certificate is of another calibration, has lapsed, or was withdrawn.
     RefusedError
         If the key cannot be used.
     """
-    return _make_estimator(Path(path), read_issued(Path(path)), public_key)
+    issued = read_issued(Path(path))
+    if certificate is None and withdrawn is None:
+        return _make_estimator(Path(path), issued, public_key)
+    from cbsr_qa.calibration.file.certified import check_certified  # loads what only certificates need
+
+    day = datetime.now(UTC).date() if today is None else today
+    check_certified(issued.digest, certificate, withdrawn, public_key=public_key, today=day)
+    return _make_estimator(Path(path), issued, None if certificate is not None else public_key)
 
 
 def load_foreign_calibration(path: Path, public_key: Path | None = None) -> Estimator:

@@ -63,6 +63,7 @@ _FIRST: Final = ("run", "report", "calibration", "export", "analyse", "station",
 
 _COMMANDS: Final[dict[str, Command]] = {}
 _GROUPS: Final[dict[str, str]] = {}
+_DEFAULTS: Final[dict[str, str]] = {}
 _PRINTED: Final[dict[str, str]] = {}
 
 
@@ -94,9 +95,14 @@ def command(words: str, *, prints: str = "", live: bool = False, reads: str = ""
     return declare
 
 
-def group(name: str, purpose: str) -> None:
-    """Declare the purpose of the commands that begin with this word."""
-    _GROUPS[name] = purpose
+def group(name: str, purpose: str, *, default: str = "") -> None:
+    """Declare the purpose of the commands that begin with this word.
+
+    Parameters
+    ----------
+    default : command that is meant if the second word is none of the group's; empty for none.
+    """
+    _GROUPS[name], _DEFAULTS[name] = purpose, default
 
 
 def document(words: str, *, prints: str) -> None:
@@ -207,6 +213,12 @@ class PlainCommand(TyperCommand):
 
 class PlainGroup(TyperGroup):
     """A group of commands whose help shows no Python types."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        default = _DEFAULTS.get(self.name or "")
+        if default and args and args[0] not in (*self.commands, "--help"):
+            args = [default, *args]
+        return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
         return _plain(super().get_params(ctx))

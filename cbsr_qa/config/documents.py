@@ -43,6 +43,7 @@ class DocumentKind(Enum):
     LIMITS = ("limits", "limits", "limits_version")
     REFERENCES = ("reference values", "references", "reference")
     STANDARDS = ("standards", "standards", "standards")
+    CERTIFICATE = ("certificate settings", "certificates", "certificate")
 
     @property
     def noun(self) -> str:

@@ -16,11 +16,11 @@ from cbsr_qa.config.recipe import RecipeFile, with_picture
 from cbsr_qa.config.scene import STATION_TABLES, SceneFile
 from cbsr_qa.config.sensor_type import ScannedTypeFile, SensorTypeFile
 from cbsr_qa.config.standards import StandardsFile
-from cbsr_qa.config.station import StationFile, resolve_options
+from cbsr_qa.config.station import CertificateFile, StationFile, resolve_options
 from cbsr_qa.config.tables import FileModel, validate
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain.errors import ConfigError, NumericsError
-from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
+from cbsr_qa.domain.plan.plan import CertificateSettings, Recipe, Scene, Station
 from cbsr_qa.domain.plan.scene_plan import ScenePlan
 from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.sensor.electrodes import widest_ring_mm
@@ -165,6 +165,11 @@ def _place_at_rim(electrodes: Mapping[str, Any]) -> Mapping[str, Any]:
 def load_standards(source: Source) -> Loaded[tuple[ReferenceStandard, ...]]:
     """Load reference standards from a file of their own, or of a station. See :func:`load_station` for errors."""
     return _load(DocumentKind.STANDARDS, StandardsFile, source, None)
+
+
+def load_certificate_settings(source: Source) -> Loaded[CertificateSettings]:
+    """Load what certificates state, from a file of its own or of a station. See :func:`load_station` for errors."""
+    return _load(DocumentKind.CERTIFICATE, CertificateFile, source, None)
 
 
 def load_material(source: Source, *, near: Path | None = None) -> Loaded[Material]:

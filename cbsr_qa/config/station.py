@@ -5,7 +5,7 @@ from dataclasses import replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import Field
+from pydantic import ConfigDict, Field
 
 from cbsr_qa.config.choices import Choice, read_choice
 from cbsr_qa.config.documents import reference_path
@@ -15,6 +15,7 @@ from cbsr_qa.config.tables import FileModel, IsoDate, OpenTable, Word, as_domain
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.plan.plan import (
     EMULATED,
+    CertificateSettings,
     EventSinkSpec,
     InstrumentSpec,
     Motion,
@@ -192,6 +193,49 @@ class SyncTable(Table):
             yield Problem(path, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
 
 
+Line = Annotated[str, Field(min_length=1, max_length=120, pattern=r"^\S+(?: \S+)*$")]
+
+
+class CertificateTable(Table):
+    """``[certificate]``: what calibration certificates state of the laboratory and of its decision rule."""
+
+    laboratory: Line
+    prefix: Annotated[str, Field(pattern=r"^[A-Z0-9][A-Z0-9.-]{0,23}$")]
+    street: Line
+    post_code: Line
+    city: Line
+    country: Annotated[str, Field(pattern=r"^[A-Z]{2}$")]
+    email: Line | None = None
+    place: Line
+    performed_at: Literal["laboratory", "laboratoryBranch", "customer", "customerBranch", "other"]
+    signatory: Line
+    function: Line
+    validity_months: Annotated[int, Field(ge=1, le=120)] | None = None
+    max_error_N: Annotated[float, Field(ge=0, le=1e6)] = 0.0
+    max_error_percent: Annotated[float, Field(ge=0, lt=100)] = 0.0
+    decision: Literal["", "guarded", "simple"] = ""
+
+    def problems(self) -> Iterator[Problem]:
+        """A statement of conformity has a requirement and a decision rule."""
+        if bool(self.decision) is not (self.max_error_N > 0 or self.max_error_percent > 0):
+            finding = "and the maximum permissible error (max_error_N, max_error_percent) are stated together"
+            yield Problem(("certificate", "decision"), finding, 'give "guarded" or "simple", or leave out all three')
+
+
+class CertificateFile(FileModel[CertificateSettings]):
+    """A file with ``[certificate]``: by itself, or a station's, of which nothing else is looked at."""
+
+    model_config = ConfigDict(extra="ignore", strict=True, frozen=True, allow_inf_nan=False)
+
+    certificate: CertificateTable
+
+    def problems(self) -> Iterator[Problem]:
+        yield from self.certificate.problems()
+
+    def to_domain(self) -> CertificateSettings:
+        return as_domain(CertificateSettings, self.certificate, max_error_percent=self.certificate.max_error_percent)
+
+
 class StationFile(FileModel[Station]):
     """A station file."""
 
@@ -207,6 +251,7 @@ class StationFile(FileModel[Station]):
     events: Annotated[dict[Word, EventsTable], Field(default_factory=dict)]
     sync: SyncTable = Field(default_factory=SyncTable)
     standards: StandardsTable = Field(default_factory=StandardsTable)
+    certificate: CertificateTable | None = None
 
     @classmethod
     def choices(cls, data: Any) -> Iterator[Choice]:
@@ -231,7 +276,7 @@ class StationFile(FileModel[Station]):
             yield from self.calibrations.problems()
         yield from self.gate.problems()
         yield from self.sync.problems()
-        yield from self._standards_problems()
+        yield from self._certified_problems()
         if self.gate.backlog not in (None, "off") and self.sync.backlog_hours is None:
             yield Problem(("gate", "backlog"), "needs backlog_hours in [sync]")
         if self.station.overdue is not None and self.gate.calibration_due is not None:
@@ -248,7 +293,9 @@ class StationFile(FileModel[Station]):
             if role not in instrument_by_role:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
 
-    def _standards_problems(self) -> Iterator[Problem]:
+    def _certified_problems(self) -> Iterator[Problem]:
+        if self.certificate is not None:
+            yield from self.certificate.problems()
         if not any(problem.path[0] == "indenter" for problem in self.indenter.problems()):
             yield from self.standards.problems()
             yield from self.standards.head_problems(self.indenter.to_domain())
@@ -287,6 +334,9 @@ class StationFile(FileModel[Station]):
             gate=self.gate.to_domain(self.station.overdue),
             sync=as_domain(SyncSettings, self.sync),
             standards=self.standards.to_domain(),
+            certificate=None
+            if self.certificate is None
+            else CertificateFile(certificate=self.certificate).to_domain(),
             events=tuple(table.to_domain(name) for name, table in sorted(self.events.items())),
         )
 

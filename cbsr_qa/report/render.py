@@ -90,14 +90,17 @@ def render_fragment(page: Page, sections: Sequence[Section]) -> str:
 
     Its style applies to it alone (CSS ``@scope``); where a browser does not know that, it has no style.
     """
-    environment, style = _environment(), re.sub(r"(?m)^(\s*)(?::root|html|body)\b", r"\1:scope", _style(_STYLE))
+    environment, style = (
+        make_environment(),
+        re.sub(r"(?m)^(\s*)(?::root|html|body)\b", r"\1:scope", read_style(_STYLE)),
+    )
     style = re.sub(r"(?m)^@page .*\n", "", style)
     prepared = [_prepare(section, "") for section in sections]
     return environment.get_template(_FRAGMENT).render(
         page=page,
         sections=prepared,
         warnings=page.warnings,
-        style=Markup(style + _style(_FRAGMENT_STYLE)),
+        style=Markup(style + read_style(_FRAGMENT_STYLE)),
         anchors=False,
     )
 
@@ -167,7 +170,7 @@ def _page(
     opened: bool = False,
 ) -> str:
     return (
-        _environment()
+        make_environment()
         .get_template(_TEMPLATE)
         .render(
             page=page,
@@ -175,17 +178,19 @@ def _page(
             annexes=annexes,
             opened=opened,
             warnings=(*page.warnings, *warnings),
-            style=Markup(_style(_STYLE)),
+            style=Markup(read_style(_STYLE)),
             anchors=True,
         )
     )
 
 
-def _style(name: str) -> str:
-    return PackageLoader("cbsr_qa._reports", ".").get_source(_environment(), name)[0]
+def read_style(name: str) -> str:
+    """Return a style sheet of the pages."""
+    return PackageLoader("cbsr_qa._reports", ".").get_source(make_environment(), name)[0]
 
 
-def _environment() -> Environment:
+def make_environment() -> Environment:
+    """Return what renders the templates of the pages: all text is escaped, and nothing may be missing."""
     return Environment(
         loader=PackageLoader("cbsr_qa._reports", "."),
         autoescape=True,

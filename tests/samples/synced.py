@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import pytest
 import sqlalchemy as sa
+from altered_runs import certificate
 from stored_runs import calibration, frames, journalled, short_run
 
 from cbsr_qa.domain.errors import StoreError
@@ -166,11 +167,15 @@ def run_of(repository, serial="S-1", *, events=None):
 
 
 def everything(repository, serial="S-1"):
-    """Store one of everything that is sent: two runs, the first with results and an override."""
+    """Store one of everything that is sent: a run with results, an override and a certificate that was replaced."""
     run = run_of(repository, serial)
     judged(repository, run, issued=calibration(repository.new_id(), run, serial))
     judged(repository, run, issued=calibration(repository.new_id(), run, serial))
     repository.changes.override_verdict(run, Outcome.FAIL, operator="Zoë", why="so")
+    latest = repository.calibrations.list_issued(serial)[0].calibration
+    number = f"LAB-{run}"
+    repository.certificates.save(certificate(run, latest, number=number))
+    repository.certificates.save(certificate(run, latest, number=f"{number}-R1", replaces=number, why="so"))
     lines = (CheckResult("gain error", CheckOutcome.OK, 0.1, "%", "−1 to 1 %", "", subject="ring"),)
     check = StationCheck(repository.new_id(), "bench-α", "Zoë", NOW, "disc", 64 * "a", (), (), lines, run)
     repository.stations.save_check(check, RingReadings(frames(0.0, 3, own_times=True), (1e4,) * 16))

@@ -127,7 +127,7 @@ def _observe(
     residue: float,
 ) -> LoadObservation:
     no_force = describe_cell_limit(phase.channel("force"), record)
-    force, stderr = (None, None) if no_force else _mean_force(phase.channel("force"), window.steady, record)
+    force, stderr = (None, None) if no_force else mean_force(phase.channel("force"), window.steady, record)
     mesh, footprint = setting.imager.mesh, setting.indenter.footprint_at(record.load.x_mm, record.load.y_mm)
     neighbours = list_neighbours(setting.indenter, phase, record, float(window.steady.time_s[-1]))
     signed = setting.response.sign * values
@@ -158,9 +158,10 @@ def list_neighbours(indenter: Indenter, phase: PhaseRecord, record: LoadRecord, 
     ]
 
 
-def _mean_force(
+def mean_force(
     samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord
 ) -> tuple[float | None, float | None]:
+    """Return the load cell's mean over the steady frames, and its standard error [N]; None without samples."""
     if samples is None:
         return None, None
     half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0

@@ -83,7 +83,8 @@ def check_signature(calibration: Issued, pinned: str = "") -> None:
             f"not signed, and a signature by {signer} is required: it was removed, or there never was one",
             remedy="use a file signed by that key; `cbsr-qa calibration sign` signs one that you trust",
         )
-    if not _fits(signature, content_digest(encode(calibration))):
+    statement = _statement(content_digest(encode(calibration)), signature.signed_at, signature.public_key)
+    if not is_signature(signature, statement):
         raise CalibrationError(
             f"its signature by {signature.words} does not fit: content, time, key or signature was changed since, or"
             " the signature is that of another file",
@@ -117,9 +118,9 @@ def check_signed_file(path: str | Path, calibration: Issued, key: str | Path | N
         raise CalibrationError(f"calibration file {path}: {error.reason}", remedy=error.remedy) from error
 
 
-def _fits(signature: Signature, digest: str) -> bool:
+def is_signature(signature: Signature, statement: bytes) -> bool:
+    """Whether a signature is that of a statement. RefusedError if ``cryptography`` is not installed."""
     ed25519, invalid = library("hazmat.primitives.asymmetric.ed25519"), library("exceptions").InvalidSignature
-    statement = _statement(digest, signature.signed_at, signature.public_key)
     try:
         key = ed25519.Ed25519PublicKey.from_public_bytes(bytes.fromhex(signature.public_key))
         key.verify(bytes.fromhex(signature.signature), statement)

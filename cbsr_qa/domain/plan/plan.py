@@ -171,6 +171,49 @@ class SyncSettings:
 
 
 @dataclass(frozen=True, slots=True)
+class CertificateSettings:
+    """What a laboratory states on its calibration certificates.
+
+    Parameters
+    ----------
+    laboratory, street, post_code, city, country : name and address; the country in ISO 3166-1.
+    prefix : beginning of the number of every certificate.
+    email : None if not stated.
+    place, performed_at : where sensors are calibrated, in words, and as the digital certificate classes it.
+    signatory, function : person who authorises certificates.
+    validity_months : time that was agreed with the customer; None: no validity is stated.
+    max_error_N, max_error_percent : maximum permissible error of a force, the sum of both parts; 0 for both: no
+        statement of conformity.
+    decision : ``"guarded"`` (guard band w = U, JCGM 106, 8.3.2) or ``"simple"`` (w = 0, 8.2); empty without a
+        statement.
+    """
+
+    laboratory: str
+    prefix: str
+    street: str
+    post_code: str
+    city: str
+    country: str
+    place: str
+    performed_at: str
+    signatory: str
+    function: str
+    email: str | None = None
+    validity_months: int | None = None
+    max_error_N: float = 0.0
+    max_error_percent: float = 0.0
+    decision: str = ""
+
+    @property
+    def judges(self) -> bool:
+        return self.max_error_N > 0 or self.max_error_percent > 0
+
+    def max_error_of(self, force_N: float) -> float:
+        """Maximum permissible error of a force [N]."""
+        return self.max_error_N + self.max_error_percent / 100 * abs(force_N)
+
+
+@dataclass(frozen=True, slots=True)
 class Station:
     """A bench with instruments.
 
@@ -186,6 +229,7 @@ class Station:
     signing_key : file with the private key that signs its calibrations; None: they are not signed.
     sync : centre to which its database is sent.
     standards : reference standards that its forces are traced to; those that are missing are not stated.
+    certificate : what its certificates state; None: it issues none.
     """
 
     name: str
@@ -204,6 +248,7 @@ class Station:
     signing_key: Path | None = None
     sync: SyncSettings = field(default_factory=SyncSettings)
     standards: tuple[ReferenceStandard, ...] = ()
+    certificate: CertificateSettings | None = None
 
 
 @dataclass(frozen=True, slots=True)

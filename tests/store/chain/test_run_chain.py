@@ -8,6 +8,7 @@ from datetime import UTC, datetime
 
 import numpy as np
 import pytest
+from altered_runs import certificate
 from calibration_samples import sample_force
 from sqlalchemy import Boolean, Column, LargeBinary, MetaData, Table, create_engine
 from stored_lots import judged, measured, store_run
@@ -61,6 +62,8 @@ def filled(url):
             RunResult(record, None, MEASURED, decide(MEASURED), issued, "", warnings=("one\0", "two"))
         )
         store.changes.override_verdict(first, Outcome.FAIL, operator="Zoë", why="seen")
+        store.certificates.save(certificate(first, issued.calibration))
+        store.certificates.revoke("LAB-1", operator="Zoë", why="wrong head")
     return first
 
 
@@ -156,6 +159,9 @@ EDITS = {
         "update calibration_baselines set value = 1 where number = 0",
         "calibration_baselines .* was changed",
     ),
+    "a certificate": ("update certificates set valid_until = '2099-01-01'", "certificates .* was changed"),
+    "a revocation": ("update certificate_withdrawals set why = 'none'", "certificate_withdrawals .* was changed"),
+    "no revocation": ("delete from certificate_withdrawals", "certificate_withdrawals .* was removed"),
     "an override": ("update verdict_overrides set outcome = 'pass'", "verdict_overrides .* was changed"),
     "a re-analysis": ("update reanalyses set outcome = 'fail'", "reanalyses .* was changed"),
     "a value of a re-analysis": (
@@ -213,6 +219,7 @@ READ_ALL = (
     lambda store, run: store.analyses.load(run),
     lambda store, run: store.changes.list_overrides(run),
     lambda store, run: store.calibrations.list_issued("S-1"),
+    lambda store, run: store.certificates.list_all(),
     lambda store, run: store.stations.read_latest_check("bench-α"),
     lambda store, run: store.stations.read_ring("check"),
     lambda store, run: store.charts.read_all(),

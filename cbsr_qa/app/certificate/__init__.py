@@ -1,0 +1,1 @@
+"""Calibration certificates: issued, verified, replaced and revoked."""

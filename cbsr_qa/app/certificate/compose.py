@@ -1,0 +1,146 @@
+"""Content of a certificate, from a stored run that issued a calibration."""
+
+import json
+from calendar import monthrange
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import UTC, date, datetime
+from math import dist, hypot
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.app.certificate.checked_loads import check_loads
+from cbsr_qa.app.certificate.request import CertificateRequest, choose_settings
+from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
+from cbsr_qa.calibration.file.hdf5 import calibration_of
+from cbsr_qa.calibration.runtime.calibration import Calibration
+from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
+from cbsr_qa.config.merging import content_digest
+from cbsr_qa.domain.errors import CalibrationError, RefusedError, StoreError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.standards import find_doubtful_dates
+from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
+from cbsr_qa.domain.results.certificate import Certificate, Replacement
+from cbsr_qa.domain.run.run import RunRecord
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.store.results.analyses import StoredAnalysis
+
+#: Most places of the table of results: more do not fit on the page.
+_MOST_PLACES: Final = 9
+
+
+@dataclass(frozen=True, slots=True)
+class Composed:
+    """A certificate, and the file of the private key that signs it; None: it is not signed."""
+
+    certificate: Certificate
+    key: Path | None
+
+
+def compose_certificate(store: Repository, run: str, request: CertificateRequest, now: datetime) -> Composed:
+    """Compose the certificate of a run.
+
+    Raises
+    ------
+    StoreError
+        If the run was altered or its chain removed, or another certificate of it stands.
+    RefusedError
+        If the sensor did not pass, the run issued no calibration that tells force, a standard was expired on the day
+        of calibration, or the validity has ended.
+    ConfigError
+        If the settings are missing or not allowed.
+    """
+    record, stored = store.runs.load(run), store.analyses.load(run)
+    if not record.chain.chained:
+        raise StoreError(f"run {run} is not certified: {record.chain.words}", remedy="test the sensor again")
+    analysis = _require_pass(store, record, stored)
+    configuration = store.runs.read_configuration(run)
+    recipe = judging_recipe(store, run, analysis)
+    check_decided(record, analysis, recipe.limits)
+    settings, key = choose_settings(request, configuration)
+    issued = _load_calibration(store, analysis)
+    performed = record.identity.started_at.astimezone(UTC).date(), datetime.fromisoformat(issued.issued_at).date()
+    for problem in find_doubtful_dates(issued.standards, performed[0]):
+        raise RefusedError(
+            f"run {run} is not certified: {problem}", remedy="test the sensor again with a standard that is in date"
+        )
+    assert issued.validity.force_N is not None
+    valid_until = None if settings.validity_months is None else add_months(performed[1], settings.validity_months)
+    if valid_until is not None and valid_until < now.date():
+        raise RefusedError(
+            f"run {run} is not certified: its validity of {settings.validity_months} months ended on {valid_until}",
+            remedy="test the sensor again",
+        )
+    certificate = Certificate(
+        number=number_certificate(settings.prefix, run, store.certificates.count(run)),
+        issued_at=now,
+        settings=settings,
+        customer=request.customer,
+        identity=record.identity,
+        calibration=issued.calibration,
+        calibration_digest=issued.digest,
+        performed=performed,
+        recipe_digest=content_digest(json.loads(configuration)["recipe"]),
+        sensor=f"{issued.sensor_type.name}, {issued.sensor_type.electrodes.count} electrodes",
+        head=issued.indenter.words(),
+        temperature_C=issued.validity.temperature_C,
+        range_N=issued.validity.force_N,
+        radius_mm=issued.validity.radius_mm,
+        standards=issued.standards,
+        forces=evaluate_forces(issued, None, choose_places(issued)),
+        checked=check_loads(record, recipe, Calibration(issued), settings),
+        reduced=issued.validity.reduced,
+        valid_until=valid_until,
+        replaced=Replacement(request.replaces, request.why) if request.replaces else None,
+    )
+    return Composed(certificate, key)
+
+
+def number_certificate(prefix: str, run: str, earlier: int) -> str:
+    """Return the number of a certificate: prefix and run, and which it is of the run where others were issued."""
+    return f"{prefix}-{run}-R{earlier}" if earlier else f"{prefix}-{run}"
+
+
+def add_months(day: date, months: int) -> date:
+    """Return the same day some months later, or the last of that month."""
+    year, month = divmod(day.month - 1 + months, 12)
+    year, month = day.year + year, month + 1
+    return date(year, month, min(day.day, monthrange(year, month)[1]))
+
+
+def choose_places(issued: IssuedCalibration) -> tuple[tuple[float, float], ...]:
+    """Return places of the calibration's loads, at most nine: the centre, then each the farthest from those."""
+    places = sorted({(place.x_mm, place.y_mm) for place in issued.baseline}, key=lambda place: (hypot(*place), place))
+    chosen = places[:1]
+    while len(chosen) < min(_MOST_PLACES, len(places)):
+        chosen.append(max(places, key=lambda place: min(dist(place, other) for other in chosen)))
+    return tuple(place for place in places if place in chosen)
+
+
+def _require_pass(store: Repository, record: RunRecord, stored: Sequence[StoredAnalysis]) -> StoredAnalysis:
+    """Return the latest analysis of a run of a sensor that passed."""
+    run, serial = record.identity.run, record.identity.sensor.serial
+    if not stored:
+        raise RefusedError(f"run {run} of sensor {serial} is not certified: it was {record.end} and has no result")
+    latest = stored[0]
+    overrides = [one for one in store.changes.list_overrides(run) if one.analysis == latest.analysis]
+    outcome = overrides[-1].outcome if overrides else latest.verdict.outcome
+    if outcome not in (Outcome.PASS, Outcome.MARGINAL):
+        reason = f"overridden by {overrides[-1].by}: {overrides[-1].why}" if overrides else latest.verdict.reason
+        raise RefusedError(f"sensor {serial} is not certified: the verdict of run {run} is {outcome}: {reason}")
+    return latest
+
+
+def _load_calibration(store: Repository, analysis: StoredAnalysis) -> IssuedCalibration:
+    if analysis.calibration is None:
+        raise RefusedError(
+            f"run {analysis.run} is not certified: it issued no calibration: {analysis.calibration_why}",
+            remedy="name another run of the sensor; cbsr-qa runs lists them",
+        )
+    file, digest = store.calibrations.load_file(analysis.calibration)
+    issued = calibration_of(file, issued=digest)
+    if issued.force is None or issued.validity.force_N is None:
+        raise CalibrationError(
+            f"run {analysis.run} is not certified: its calibration tells no force: {issued.no_force}"
+        )
+    return issued

@@ -1,0 +1,91 @@
+"""Requests for certificates, and the settings that a certificate follows."""
+
+import json
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Final
+
+from cbsr_qa.config.loader import load_certificate_settings
+from cbsr_qa.config.serials import validate_reason
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.plan.plan import CertificateSettings
+from cbsr_qa.domain.results.certificate import Customer
+
+#: Longest name or address of a customer [characters]: a line or two of the page.
+_LONGEST_CUSTOMER: Final = 120
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateRequest:
+    """Certificates to issue; see the options of ``cbsr-qa certificate``.
+
+    Parameters
+    ----------
+    folder : folder to write to; it may exist.
+    customer : whom the certificates are for.
+    settings_file : file with ``[certificate]``; None for that of the station, as each run was configured with it.
+    overrides : keys of ``[certificate]`` that were given on the command line.
+    key : file with the private key that signs; None for that of the station; without either they are not signed.
+    replaces, why : number of the certificate to replace, and the reason; empty without.
+    """
+
+    folder: Path
+    customer: Customer = field(default_factory=Customer)
+    settings_file: Path | None = None
+    overrides: dict[str, float | str] = field(default_factory=dict)
+    key: Path | None = None
+    replaces: str = ""
+    why: str = ""
+
+    def validate(self) -> "CertificateRequest":
+        """Return itself with a tidy reason.
+
+        Raises
+        ------
+        ConfigError
+            If customer or reason cannot be printed, or a replacement has no reason.
+        RefusedError
+            If the folder is a file.
+        """
+        for option, text in (("--customer", self.customer.name), ("--customer-address", self.customer.address)):
+            if text != text.strip() or not text.isprintable() or len(text) > _LONGEST_CUSTOMER:
+                raise ConfigError(
+                    f"{option} cannot be printed in one line",
+                    remedy=f"allowed: {_LONGEST_CUSTOMER} characters, no line breaks, no blanks at the ends",
+                )
+        if bool(self.replaces) is not bool(self.why.strip()):
+            raise ConfigError(
+                "--replaces and --reason are given together",
+                remedy="name the certificate that is replaced, and say why: the new one states both",
+            )
+        if self.folder.exists() and not self.folder.is_dir():
+            raise ConfigError(f"--to {self.folder} exists, and is not a folder", remedy="name a folder")
+        return replace(self, why=validate_reason(self.why))
+
+
+def choose_settings(request: CertificateRequest, configuration: str) -> tuple[CertificateSettings, Path | None]:
+    """Return what a certificate states of the laboratory, and the file of the key that signs it.
+
+    Parameters
+    ----------
+    configuration : canonical JSON that the run was configured with.
+
+    Raises
+    ------
+    ConfigError
+        If neither the request nor the station states the laboratory, or a value is not allowed.
+    """
+    station = json.loads(configuration)["station"]
+    if request.settings_file is not None:
+        document = load_certificate_settings(str(request.settings_file)).document
+        stated = document.data["certificate"]
+    elif "certificate" in station:
+        stated = station["certificate"]
+    else:
+        raise ConfigError(
+            f"station {station['station']['name']!r} states no laboratory: its file had no [certificate]",
+            remedy="give a file with that table, its own or a station's: --laboratory FILE",
+        )
+    settings = load_certificate_settings({"certificate": {**stated, **request.overrides}}).value
+    named = station.get("calibrations", {}).get("signing_key")
+    return settings, request.key or (None if named is None else Path(named))

@@ -1,0 +1,150 @@
+"""Certificates of a database: listed, revoked, written again; the signed list of those that no longer hold."""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+from cbsr_qa.app.certificate.files import list_contents, write_files
+from cbsr_qa.calibration.file.certified import Withdrawn, WithdrawnList, sign, to_text
+from cbsr_qa.calibration.file.hdf5 import calibration_of
+from cbsr_qa.calibration.file.keys import signing_key
+from cbsr_qa.config.paths import database_url
+from cbsr_qa.config.serials import validate_operator, validate_reason
+from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.results.certificate import NOT_STATED
+from cbsr_qa.domain.results.certificate_records import StoredCertificate
+from cbsr_qa.domain.results.report import CommandOutcome, Section
+from cbsr_qa.report.page import answer
+from cbsr_qa.report.tables import plural, text_table
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import RealClock
+from cbsr_qa.system.files import write_atomically, writing
+
+
+@dataclass(frozen=True, slots=True)
+class ListedCertificate:
+    """A certificate in one line; ``withdrawn`` says what became of it, None while it stands."""
+
+    number: str
+    serial: str
+    run: str
+    issued_at: datetime
+    valid_until: str | None
+    replaces: str | None
+    withdrawn: str | None
+
+    @classmethod
+    def from_stored(cls, stored: StoredCertificate) -> "ListedCertificate":
+        issued, withdrawal = stored.issued, stored.withdrawal
+        return cls(
+            issued.number,
+            stored.serial,
+            issued.run,
+            issued.issued_at,
+            issued.valid_until,
+            issued.replaces,
+            None if withdrawal is None else withdrawal.words,
+        )
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateList:
+    """Certificates in the order they were issued."""
+
+    certificates: tuple[ListedCertificate, ...]
+
+
+@dataclass(frozen=True, slots=True)
+class WrittenFiles:
+    """Files that were written for a certificate, or the list of withdrawn ones, with how many it names."""
+
+    files: tuple[Path, ...]
+    certificates: int
+
+
+def list_certificates(serial: str | None, *, database: str | None = None) -> CommandOutcome[CertificateList]:
+    """List the certificates of one sensor, or of all. StoreError if a run of one was altered."""
+    with open_store(database_url(database), create=False) as store:
+        listed = tuple(map(ListedCertificate.from_stored, store.certificates.list_all(serial)))
+    rows = [
+        (one.number, one.serial, f"{one.issued_at:%Y-%m-%d}", one.valid_until or NOT_STATED, one.withdrawn or "")
+        for one in listed
+    ]
+    table = text_table("", ("number", "sensor", "issued", "valid until", "withdrawn"), rows)
+    outcome = answer(CertificateList(listed), plural(len(listed), "certificate"))
+    return CommandOutcome(outcome.result, outcome.page, (Section("Certificates", (table,)),) if listed else ())
+
+
+def revoke_certificate(
+    number: str, *, by: str, why: str, database: str | None = None
+) -> CommandOutcome[ListedCertificate]:
+    """Revoke a certificate; its files and its row stay, and the reason is kept under the chain of its run.
+
+    Raises
+    ------
+    ConfigError
+        If the reason is missing, or it or the name cannot be used.
+    StoreError
+        If there is no such certificate, it does not stand, or its run was altered.
+    """
+    if not why.strip():
+        raise ConfigError(
+            "a revocation needs --reason", remedy="say why: verify and the list of withdrawn ones show it"
+        )
+    operator, reason = validate_operator(by) or NOT_STATED, validate_reason(why)
+    with open_store(database_url(database), create=False) as store:
+        revoked = ListedCertificate.from_stored(store.certificates.revoke(number, operator=operator, why=reason))
+    return answer(revoked, f"certificate {number} revoked", reason, [("Sensor", revoked.serial)])
+
+
+def copy_certificate(number: str, folder: Path, *, database: str | None = None) -> CommandOutcome[WrittenFiles]:
+    """Write the files of a certificate again, byte for byte. RefusedError if one exists or cannot be written."""
+    with open_store(database_url(database), create=False) as store:
+        stored = store.certificates.load(number)
+    with write_files(folder, number, list_contents(stored.issued)) as paths:
+        written = WrittenFiles(tuple(paths.values()), 1)
+    warnings = [] if stored.withdrawal is None else [f"it was {stored.withdrawal.words}"]
+    return answer(
+        written, f"certificate {number} written again", printed=[("Folder", str(folder))], warnings=warnings
+    )
+
+
+def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> CommandOutcome[WrittenFiles]:
+    """Write the signed list of certificates that were replaced or revoked; an earlier list there is replaced.
+
+    Raises
+    ------
+    RefusedError
+        If the key cannot be used, or the file is something else or cannot be written.
+    """
+    own_key = signing_key(key)
+    if path.exists() and not path.read_bytes()[:400].count(b"cbsr-qa withdrawn") and path.stat().st_size:
+        raise RefusedError(f"{path} exists, and is no list of withdrawn certificates", remedy="name another file")
+    with open_store(database_url(database), create=False) as store:
+        withdrawn = _list_withdrawn(store, store.certificates.list_all())
+    signed = sign(WithdrawnList(withdrawn), own_key, RealClock().wall())
+    with writing(path), write_atomically(path) as file:
+        file.write(to_text(signed).encode())
+    written = WrittenFiles((path,), len(withdrawn))
+    return answer(written, f"{plural(len(withdrawn), 'withdrawn certificate')} listed", printed=[("File", str(path))])
+
+
+def _list_withdrawn(store: Repository, certificates: Sequence[StoredCertificate]) -> tuple[Withdrawn, ...]:
+    """Return the withdrawn certificates; the calibration is named where no other certificate of it stands."""
+    standing = {one.issued.calibration for one in certificates if one.withdrawal is None}
+    return tuple(
+        Withdrawn(
+            one.issued.number,
+            "" if one.issued.calibration in standing else _digest(store, one.issued.calibration),
+            one.withdrawal.words,
+        )
+        for one in certificates
+        if one.withdrawal is not None
+    )
+
+
+def _digest(store: Repository, calibration: str) -> str:
+    file, digest = store.calibrations.load_file(calibration)
+    return calibration_of(file, issued=digest).digest

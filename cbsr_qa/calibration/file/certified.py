@@ -1,0 +1,204 @@
+"""Signature files of certificates, and lists of withdrawn ones; both JSON, signed with the key of calibrations.
+
+A signature covers UTF-8 text: a first line that says what it is of, then the JSON of everything in the file but
+``signature``, with sorted keys and without blanks. It is detached: the certificate's page and XML stand beside it,
+each named by the SHA-256 of its bytes.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass, replace
+from datetime import UTC, date, datetime
+from pathlib import Path
+from typing import Any, Final, TypeVar
+
+from cbsr_qa.calibration.file.keys import SigningKey, public_key
+from cbsr_qa.calibration.file.signing import is_signature, read_signature
+from cbsr_qa.domain.errors import CalibrationError
+from cbsr_qa.domain.filling import fill_from_mapping, find_odd_value
+from cbsr_qa.domain.results.signature import fingerprint
+from cbsr_qa.system.foreign import read_foreign
+from cbsr_qa.system.json_text import parse_json
+
+_MOST_BYTES: Final = 2**26
+_CERTIFICATE: Final = "cbsr-qa certificate"
+_WITHDRAWN: Final = "cbsr-qa withdrawn certificates"
+_AGAIN: Final = "copy it again from where it was issued"
+
+_Kind = TypeVar("_Kind", "CertificateSeal", "WithdrawnList")
+
+
+@dataclass(frozen=True, slots=True)
+class CertificateSeal:
+    """What the signature file of a certificate states.
+
+    Parameters
+    ----------
+    number, serial : of the certificate and of its sensor.
+    calibration_digest : SHA-256 of the content of the certified calibration.
+    valid_until : ISO date; None: no validity is stated.
+    html_sha256, dcc_sha256 : of the bytes of page and XML.
+    public_key, signed_at, signature : as in a calibration; empty signature: not signed yet.
+    """
+
+    number: str
+    serial: str
+    calibration_digest: str
+    valid_until: str | None
+    html_sha256: str
+    dcc_sha256: str
+    public_key: str = ""
+    signed_at: str = ""
+    signature: str = ""
+    format: str = _CERTIFICATE
+
+
+@dataclass(frozen=True, slots=True)
+class Withdrawn:
+    """A certificate that no longer holds.
+
+    Parameters
+    ----------
+    calibration_digest : of its calibration; empty where another certificate of that calibration holds.
+    words : what became of it, when, by whom and why.
+    """
+
+    number: str
+    calibration_digest: str
+    words: str
+
+
+@dataclass(frozen=True, slots=True)
+class WithdrawnList:
+    """Certificates that a laboratory replaced or revoked, as of ``signed_at``."""
+
+    withdrawn: tuple[Withdrawn, ...]
+    public_key: str = ""
+    signed_at: str = ""
+    signature: str = ""
+    format: str = _WITHDRAWN
+
+    def find(self, number: str, calibration_digest: str) -> Withdrawn | None:
+        """Return the entry of a certificate, or of a calibration if ``number`` is empty; None without one."""
+        if number:
+            return next((one for one in self.withdrawn if one.number == number), None)
+        return next((one for one in self.withdrawn if one.calibration_digest == calibration_digest), None)
+
+
+def sign(content: _Kind, key: SigningKey, at: datetime) -> _Kind:
+    """Return a content with its signature; the time of signing is stated to the second."""
+    unsigned = replace(
+        content, public_key=key.public_key, signed_at=at.astimezone(UTC).isoformat(timespec="seconds"), signature=""
+    )
+    return replace(unsigned, signature=key.sign(_statement(unsigned)))
+
+
+def to_text(content: CertificateSeal | WithdrawnList) -> str:
+    """Return the text of a file."""
+    return json.dumps(asdict(content), indent=1, ensure_ascii=False) + "\n"
+
+
+def read_seal(path: Path) -> CertificateSeal:
+    """Read the signature file of a certificate. CalibrationError if it is none, or damaged."""
+    return _read(path, CertificateSeal)
+
+
+def read_withdrawn(path: Path) -> WithdrawnList:
+    """Read a list of withdrawn certificates. CalibrationError if it is none, or damaged."""
+    return _read(path, WithdrawnList)
+
+
+def check_sealed(path: Path, content: CertificateSeal | WithdrawnList, key: str | Path | None) -> None:
+    """Check the signature of a file.
+
+    Parameters
+    ----------
+    key : PEM file with the public key that must have signed it; None for any key.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not signed, was changed since, or was signed by another key.
+    RefusedError
+        If the key cannot be used, or ``cryptography`` is not installed.
+    """
+    pinned = "" if key is None else public_key(Path(key))
+    stated = {name: getattr(content, name) for name in ("public_key", "signed_at", "signature")}
+    signature = read_signature(stated if content.signature else {})
+    if signature is None:
+        raise CalibrationError(f"{path} is not signed", remedy=_AGAIN)
+    if not is_signature(signature, _statement(replace(content, signature=""))):
+        raise CalibrationError(
+            f"{path}: its signature by {signature.words} does not fit: it was changed", remedy=_AGAIN
+        )
+    if pinned and signature.public_key != pinned:
+        raise CalibrationError(f"{path}: signed by {signature.words}, not by the pinned key {fingerprint(pinned)}")
+
+
+def check_certified(
+    digest: str,
+    certificate: str | Path | None,
+    withdrawn: str | Path | None,
+    *,
+    public_key: str | Path | None,
+    today: date,
+) -> None:
+    """Check that a calibration is certified, that its certificate has not lapsed, and that no list withdraws it.
+
+    Parameters
+    ----------
+    digest : SHA-256 of the content of the calibration.
+    certificate : signature file of its certificate; None: only the list is looked at.
+    withdrawn : list of withdrawn certificates; None: none is looked at.
+    public_key : PEM file with the key that must have signed both; None for any key.
+
+    Raises
+    ------
+    CalibrationError
+        If a file is damaged or not signed as required, the certificate is of another calibration, has lapsed, or was
+        withdrawn.
+    RefusedError
+        If the key cannot be used.
+    """
+    number = ""
+    if certificate is not None:
+        seal = read_seal(Path(certificate))
+        check_sealed(Path(certificate), seal, public_key)
+        number = seal.number
+        if seal.calibration_digest != digest:
+            raise CalibrationError(
+                f"certificate {number} is of another calibration, with SHA-256 {seal.calibration_digest}"
+            )
+        if seal.valid_until is not None and date.fromisoformat(seal.valid_until) < today:
+            raise CalibrationError(
+                f"certificate {number} lapsed: it was valid until {seal.valid_until}",
+                remedy="calibrate the sensor again",
+            )
+    if withdrawn is not None:
+        listed = read_withdrawn(Path(withdrawn))
+        check_sealed(Path(withdrawn), listed, public_key)
+        entry = listed.find(number, digest)
+        if entry is not None:
+            raise CalibrationError(f"certificate {entry.number} of this calibration was {entry.words}")
+
+
+def _read(path: Path, kind: type[_Kind]) -> _Kind:
+    try:
+        content = parse_json(read_foreign(path, _MOST_BYTES))
+        if not isinstance(content, Mapping) or content.get("format") != kind.__dataclass_fields__["format"].default:
+            raise ValueError("it is another file")
+        filled = fill_from_mapping(kind, content)
+        if odd := find_odd_value(kind, filled):
+            raise ValueError(odd)
+        if isinstance(filled, CertificateSeal) and filled.valid_until is not None:
+            date.fromisoformat(filled.valid_until)
+    except (OSError, ValueError, TypeError, KeyError) as error:
+        why = getattr(error, "strerror", None) or str(error)
+        raise CalibrationError(f"{path} cannot be read: {why}", remedy=_AGAIN) from error
+    return filled
+
+
+def _statement(content: CertificateSeal | WithdrawnList) -> bytes:
+    fields: dict[str, Any] = {name: value for name, value in asdict(content).items() if name != "signature"}
+    text = json.dumps(fields, sort_keys=True, separators=(",", ":"), ensure_ascii=False)
+    return f"{content.format} signature\n{text}\n".encode()

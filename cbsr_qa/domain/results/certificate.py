@@ -1,0 +1,108 @@
+"""Content of a calibration certificate, independent of page and XML."""
+
+from dataclasses import dataclass
+from datetime import date, datetime
+
+from cbsr_qa.domain.plan.plan import CertificateSettings
+from cbsr_qa.domain.plan.standards import ReferenceStandard
+from cbsr_qa.domain.results.expanded_force import ExpandedForce
+from cbsr_qa.domain.run.run import RunIdentity
+
+#: What a certificate says where nothing was stated.
+NOT_STATED = "not stated"
+
+
+@dataclass(frozen=True, slots=True)
+class Customer:
+    """Customer of a certificate; empty texts were not stated."""
+
+    name: str = ""
+    address: str = ""
+
+
+@dataclass(frozen=True, slots=True)
+class Replacement:
+    """Number of the certificate that another one replaces, and the reason."""
+
+    number: str
+    why: str
+
+
+@dataclass(frozen=True, slots=True)
+class CheckedLoad:
+    """A load that the calibration was not learned from, and the force that the calibrated sensor indicated.
+
+    Parameters
+    ----------
+    phase : phase of the run.
+    reference_N : mean of the load cell over the last frames of the hold.
+    indicated_N : mean over the same frames by the calibration, the place known.
+    expanded : uncertainty of the indicated force at this place and force.
+    max_error_N : maximum permissible error; None without a requirement.
+    outcome : decision, a word of :class:`cbsr_qa.stats.conformity.Conformity`; empty without a requirement.
+    conformance : probability that the true error is within its maximum; None without a requirement.
+    """
+
+    phase: str
+    reference_N: float
+    indicated_N: float
+    expanded: ExpandedForce
+    max_error_N: float | None = None
+    outcome: str = ""
+    conformance: float | None = None
+
+    @property
+    def error_N(self) -> float:
+        return self.indicated_N - self.reference_N
+
+
+@dataclass(frozen=True, slots=True)
+class Certificate:
+    """Everything that a certificate states.
+
+    Parameters
+    ----------
+    number : unique: the laboratory's prefix and the run.
+    issued_at : wall clock, UTC.
+    settings : laboratory, place, signatory, validity and decision rule.
+    identity : run with its sensor, station, recipe, operator and software.
+    calibration, calibration_digest : calibration that is certified, and the SHA-256 of its content.
+    performed : first and last day of the calibration (UTC).
+    recipe_digest : SHA-256 of the recipe's content.
+    sensor, head : sensor type and head in words.
+    temperature_C : lowest and highest; None if it was not measured.
+    range_N, radius_mm : forces, and distance from the centre, for which the calibration is valid.
+    standards : those that were stated.
+    forces : results: force with U at stated places.
+    checked : loads that the calibration was not learned from.
+    reduced : why the calibration's range is smaller than intended.
+    valid_until : None: no validity is stated.
+    replaced : the certificate that this one replaces; None without.
+    """
+
+    number: str
+    issued_at: datetime
+    settings: CertificateSettings
+    customer: Customer
+    identity: RunIdentity
+    calibration: str
+    calibration_digest: str
+    performed: tuple[date, date]
+    recipe_digest: str
+    sensor: str
+    head: str
+    temperature_C: tuple[float, float] | None
+    range_N: tuple[float, float]
+    radius_mm: float
+    standards: tuple[ReferenceStandard, ...]
+    forces: tuple[ExpandedForce, ...]
+    checked: tuple[CheckedLoad, ...]
+    reduced: tuple[str, ...]
+    valid_until: date | None
+    replaced: Replacement | None
+
+    @property
+    def outcome(self) -> str:
+        """The worst decision about a checked load; empty without a requirement."""
+        order = ("fail", "conditionalFail", "conditionalPass", "pass")
+        return min((load.outcome for load in self.checked if load.outcome), key=order.index, default="")

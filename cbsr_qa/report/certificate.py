@@ -1,0 +1,172 @@
+"""The page of a calibration certificate: two sides of A4 in one self-contained HTML file."""
+
+from collections.abc import Iterator, Sequence
+from itertools import groupby
+from math import floor, inf, isfinite, log10
+from typing import Final
+
+from markupsafe import Markup
+
+from cbsr_qa.domain.plan.standards import StandardRole
+from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, CheckedLoad
+from cbsr_qa.domain.results.expanded_force import ExpandedForce
+from cbsr_qa.report.render import make_environment, read_style
+
+#: Most checked loads in the table: more do not fit on the page. Those nearest to their limit are shown.
+_MOST_LOADS: Final = 12
+#: Most reductions of the range that are written out.
+_MOST_REDUCED: Final = 6
+_OUTCOMES: Final = {
+    "pass": "conforms",
+    "conditionalPass": "within the limit, inside the guard band: not decided",
+    "conditionalFail": "beyond the limit, by less than U: not decided",
+    "fail": "does not conform",
+    "": "",
+}
+
+
+def render_certificate(certificate: Certificate, fingerprint: str) -> str:
+    """Render a certificate: the same content gives the same bytes, all text escaped.
+
+    Parameters
+    ----------
+    fingerprint : of the key that signs the file beside it; empty if it is not signed.
+    """
+    return (
+        make_environment()
+        .get_template("certificate.html.j2")
+        .render(
+            c=certificate,
+            style=Markup(read_style("certificate.css")),
+            not_stated=NOT_STATED,
+            fingerprint=fingerprint,
+            standards=list(_standards(certificate)),
+            forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
+            places=list(_places(certificate.forces)),
+            settling_s=format_value(certificate.forces[0].settling_s, 3),
+            loads=[_load(load) for load in choose_loads(certificate.checked)],
+            statement=state_conformity(certificate),
+            rule=describe_rule(certificate),
+            remarks=list_remarks(certificate),
+        )
+    )
+
+
+def format_value(value: float, digits: int) -> str:
+    """Return a number with some significant digits, without an exponent."""
+    if value == 0 or not isfinite(value):
+        return "0" if value == 0 else "∞"
+    return f"{value:.{max(digits - 1 - floor(log10(abs(value))), 0)}f}"
+
+
+def format_with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
+    """Return a value and U: U with two significant digits, the value to the same decimal (JCGM 100, 7.2.6)."""
+    decimals = max(1 - floor(log10(expanded)), 0)
+    return f"{value:.{decimals}f}".replace("-", "−"), f"{expanded:.{decimals}f}"
+
+
+def format_dof(dof: float) -> str:
+    """Return degrees of freedom, truncated as k is (JCGM 100, G.6.4)."""
+    return "∞" if dof == inf else str(floor(dof))
+
+
+def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:
+    """Return the loads that are listed: all, or those nearest to their limit, else of the largest errors."""
+    nearest = sorted(checked, key=lambda load: (load.max_error_N or 0.0) - abs(load.error_N))[:_MOST_LOADS]
+    return [load for load in checked if load in nearest]
+
+
+def state_conformity(certificate: Certificate) -> str:
+    """Return the statement of conformity in words (ISO/IEC 17025:2017, 7.8.6.2), or why there is none."""
+    loads, settings = certificate.checked, certificate.settings
+    if not settings.judges:
+        return "No statement of conformity is made: no maximum permissible error was stated."
+    if not loads:
+        return (
+            "No statement of conformity is made: the run has no load within the range that the calibration was not"
+            " learned from."
+        )
+    risks = [1 - load.conformance for load in loads if load.outcome == "pass" and load.conformance is not None]
+    kept = [load.conformance for load in loads if load.outcome == "fail" and load.conformance is not None]
+    accepted = f" Largest specific risk of false acceptance: {_percent(max(risks))}." if risks else ""
+    rejected = f" Largest specific risk of false rejection: {_percent(max(kept))}." if kept else ""
+    counts = {word: sum(load.outcome == word for load in loads) for word in _OUTCOMES if word}
+    verdict = {
+        "pass": "The indicated force conforms with the maximum permissible error",
+        "conditionalPass": "Conformity with the maximum permissible error is not decided",
+        "conditionalFail": "Conformity with the maximum permissible error is not decided",
+        "fail": "The indicated force does not conform with the maximum permissible error",
+    }[certificate.outcome]
+    told = ", ".join(f"{count} {_OUTCOMES[word]}" for word, count in counts.items() if count)
+    return f"{verdict}: of {len(loads)} checked loads, {told}.{accepted}{rejected}"
+
+
+def _percent(share: float) -> str:
+    return "below 0.01 %" if share < 1e-4 else f"{100 * share:.2g} %"
+
+
+def describe_rule(certificate: Certificate) -> str:
+    """Return requirement and decision rule in words (JCGM 106, 8); empty without a requirement."""
+    settings = certificate.settings
+    if not settings.judges:
+        return ""
+    parts = [f"{settings.max_error_N:g} N"] if settings.max_error_N else []
+    parts += [f"{settings.max_error_percent:g} % of the force"] if settings.max_error_percent else []
+    requirement = f"Maximum permissible error T = {' + '.join(parts)}."
+    if settings.decision == "simple":
+        return f"{requirement} Simple acceptance (JCGM 106:2012, 8.2): |error| ≤ T conforms; w = 0."
+    return (
+        f"{requirement} Guarded acceptance and rejection with the guard band w = U (JCGM 106:2012, 8.3):"
+        " |error| ≤ T − U conforms, |error| > T + U does not conform, between them nothing is decided."
+    )
+
+
+def list_remarks(certificate: Certificate) -> list[str]:
+    """Return the remarks; the first says what was simulated."""
+    simulated = "; ".join(certificate.identity.simulated)
+    remarks = [f"Simulated: {simulated}." if simulated else "Nothing was simulated."]
+    missing = list(dict.fromkeys(name for force in certificate.forces for name in force.not_stated))
+    if missing:
+        remarks.append(f"Not in U, since nothing states them: {'; '.join(missing)}.")
+    reduced = certificate.reduced
+    remarks += [f"{reason[:1].upper()}{reason[1:]}." for reason in reduced[:_MOST_REDUCED]]
+    if len(reduced) > _MOST_REDUCED:
+        remarks.append(f"{len(reduced) - _MOST_REDUCED} more limitations stand in the calibration file.")
+    remarks.append("The sensor was not adjusted: the calibration file converts its readings to forces.")
+    return remarks
+
+
+def _standards(certificate: Certificate) -> Iterator[tuple[str, str]]:
+    stated = {standard.role: standard for standard in certificate.standards}
+    for role in StandardRole:
+        standard = stated.pop(str(role), None)
+        yield str(role).replace("_", " "), NOT_STATED if standard is None else standard.words()
+
+
+def _row(forces: Sequence[ExpandedForce]) -> list[ExpandedForce]:
+    """Return the forces of the first place: all places have the same."""
+    return [force for force in forces if force.place_mm == forces[0].place_mm]
+
+
+def _places(forces: Sequence[ExpandedForce]) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
+    """Yield place, and U, k and degrees of freedom of each of its forces."""
+    for place_mm, group in groupby(forces, key=lambda force: force.place_mm):
+        cells = [
+            (format_with_uncertainty(force.force_N, force.U_N)[1], f"{force.k:.2f}", format_dof(force.dof))
+            for force in group
+        ]
+        yield _place(place_mm), cells
+
+
+def _place(place_mm: tuple[float, float]) -> str:
+    return "({:.1f}, {:.1f})".format(*place_mm).replace("-", "−")
+
+
+def _load(load: CheckedLoad) -> tuple[str, ...]:
+    error, expanded = format_with_uncertainty(load.error_N, load.expanded.U_N)
+    reference, _ = format_with_uncertainty(load.reference_N, load.expanded.U_N)
+    indicated, _ = format_with_uncertainty(load.indicated_N, load.expanded.U_N)
+    limit = "" if load.max_error_N is None else format_with_uncertainty(load.max_error_N, load.expanded.U_N)[0]
+    place = _place(load.expanded.place_mm)
+    k = f"{load.expanded.k:.2f}"
+    return place, reference, indicated, error, expanded, k, limit, _OUTCOMES[load.outcome].split(":")[0]
