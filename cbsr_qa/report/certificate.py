@@ -7,7 +7,7 @@ from typing import Final
 
 from markupsafe import Markup
 
-from cbsr_qa.domain.plan.standards import StandardRole
+from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, CheckedLoad
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.report.render import make_environment, read_style
@@ -16,6 +16,14 @@ from cbsr_qa.report.render import make_environment, read_style
 _MOST_LOADS: Final = 12
 #: Most reductions of the range that are written out.
 _MOST_REDUCED: Final = 6
+#: Where sensors are calibrated, for people.
+_PERFORMED: Final = {
+    "laboratory": "at the laboratory",
+    "laboratoryBranch": "at a branch of the laboratory",
+    "customer": "at the customer's",
+    "customerBranch": "at a branch of the customer's",
+    "other": "elsewhere",
+}
 _OUTCOMES: Final = {
     "pass": "conforms",
     "conditionalPass": "within the limit, inside the guard band: not decided",
@@ -39,6 +47,8 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
             c=certificate,
             style=Markup(read_style("certificate.css")),
             not_stated=NOT_STATED,
+            performed_at=_PERFORMED[certificate.settings.performed_at],
+            traceability=describe_traceability(certificate),
             fingerprint=fingerprint,
             standards=list(_standards(certificate)),
             forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
@@ -91,13 +101,14 @@ def state_conformity(certificate: Certificate) -> str:
     accepted = f" Largest specific risk of false acceptance: {_percent(max(risks))}." if risks else ""
     rejected = f" Largest specific risk of false rejection: {_percent(max(kept))}." if kept else ""
     counts = {word: sum(load.outcome == word for load in loads) for word in _OUTCOMES if word}
+    plain = {"pass": "conform", "fail": "do not conform"} if len(loads) > 1 else {}
     verdict = {
         "pass": "The indicated force conforms with the maximum permissible error",
         "conditionalPass": "Conformity with the maximum permissible error is not decided",
         "conditionalFail": "Conformity with the maximum permissible error is not decided",
         "fail": "The indicated force does not conform with the maximum permissible error",
     }[certificate.outcome]
-    told = ", ".join(f"{count} {_OUTCOMES[word]}" for word, count in counts.items() if count)
+    told = ", ".join(f"{count} {plain.get(word, _OUTCOMES[word])}" for word, count in counts.items() if count)
     return f"{verdict}: of {len(loads)} checked loads, {told}.{accepted}{rejected}"
 
 
@@ -118,6 +129,18 @@ def describe_rule(certificate: Certificate) -> str:
     return (
         f"{requirement} Guarded acceptance and rejection with the guard band w = U (JCGM 106:2012, 8.3):"
         " |error| ≤ T − U conforms, |error| > T + U does not conform, between them nothing is decided."
+    )
+
+
+def describe_traceability(certificate: Certificate) -> str:
+    """Return what forces are traceable to: no more than what was stated."""
+    if certificate.identity.simulated:
+        return "The calibration was simulated: no traceability to the SI is claimed."
+    if find_standard(certificate.standards, StandardRole.LOAD_CELL) is None:
+        return "The load cell is not stated: no traceability of force to the SI is claimed."
+    return (
+        "Forces are traceable to the SI through the certificate of the load cell; for standards that are not stated,"
+        " no traceability is claimed."
     )
 
 

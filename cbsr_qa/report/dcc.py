@@ -11,7 +11,7 @@ from xml.etree.ElementTree import Element, SubElement
 
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
-from cbsr_qa.report.certificate import describe_rule, list_remarks, state_conformity
+from cbsr_qa.report.certificate import describe_rule, describe_traceability, list_remarks, state_conformity
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -116,10 +116,11 @@ def _add_statements(statements: Element, certificate: Certificate) -> None:
     for number, remark in enumerate(list_remarks(certificate)):
         _add_statement(statements, "simulation" if number == 0 else "remark", remark)
     if certificate.valid_until is None:
-        _add_statement(statements, "validity", f"{NOT_STATED}: no interval was agreed with the customer")
+        _add_statement(statements, "validity", NOT_STATED)
     else:
-        validity = _add_statement(statements, "validity", "valid until this day, as agreed with the customer")
+        validity = _add_statement(statements, "validity", "valid until this day")
         _add(validity, "date", certificate.valid_until.isoformat())
+    _add_statement(statements, "traceability", describe_traceability(certificate))
     if certificate.replaced is not None:
         _add_statement(statements, "replacement", certificate.replaced.why)
     conformity = _add(statements, "statement")

@@ -24,10 +24,10 @@ _STATEMENTS: Final = (
         CONSTRAINT pk_certificates PRIMARY KEY (certificate),
         CONSTRAINT fk_certificates_run_runs FOREIGN KEY(run) REFERENCES runs (run),
         CONSTRAINT fk_certificates_calibration_calibrations FOREIGN KEY(calibration)
-        REFERENCES calibrations (calibration))
+        REFERENCES calibrations (calibration),
+        CONSTRAINT uq_certificates_number UNIQUE (number))
     """,
     "CREATE INDEX ix_certificates_run ON certificates (run)",
-    "CREATE UNIQUE INDEX ix_certificates_number ON certificates (number)",
     """
     CREATE TABLE certificate_withdrawals (
         withdrawal VARCHAR(36) NOT NULL, run VARCHAR(36) NOT NULL, number VARCHAR(96) NOT NULL,

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 from datetime import UTC, date, datetime
 from math import dist, hypot
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cbsr_qa.app.certificate.checked_loads import check_loads
 from cbsr_qa.app.certificate.request import CertificateRequest, choose_settings
@@ -53,7 +53,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
     record, stored = store.runs.load(run), store.analyses.load(run)
     if not record.chain.chained:
         raise StoreError(f"run {run} is not certified: {record.chain.words}", remedy="test the sensor again")
-    analysis = _require_pass(store, record, stored)
+    analysis, verdict = _require_pass(store, record, stored)
     configuration = store.runs.read_configuration(run)
     recipe = judging_recipe(store, run, analysis)
     check_decided(record, analysis, recipe.limits)
@@ -80,7 +80,8 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         calibration=issued.calibration,
         calibration_digest=issued.digest,
         performed=performed,
-        recipe_digest=content_digest(json.loads(configuration)["recipe"]),
+        recipe_digest=content_digest(_recipe_content(analysis, configuration)),
+        verdict=str(verdict),
         sensor=f"{issued.sensor_type.name}, {issued.sensor_type.electrodes.count} electrodes",
         head=issued.indenter.words(),
         temperature_C=issued.validity.temperature_C,
@@ -117,8 +118,15 @@ def choose_places(issued: IssuedCalibration) -> tuple[tuple[float, float], ...]:
     return tuple(place for place in places if place in chosen)
 
 
-def _require_pass(store: Repository, record: RunRecord, stored: Sequence[StoredAnalysis]) -> StoredAnalysis:
-    """Return the latest analysis of a run of a sensor that passed."""
+def _recipe_content(analysis: StoredAnalysis, configuration: str) -> Any:
+    """Return the content of the recipe that an analysis follows from."""
+    return json.loads(configuration)["recipe"] if analysis.adoption is None else json.loads(analysis.adoption.recipe)
+
+
+def _require_pass(
+    store: Repository, record: RunRecord, stored: Sequence[StoredAnalysis]
+) -> tuple[StoredAnalysis, Outcome]:
+    """Return the latest analysis of a run of a sensor that passed, and its verdict."""
     run, serial = record.identity.run, record.identity.sensor.serial
     if not stored:
         raise RefusedError(f"run {run} of sensor {serial} is not certified: it was {record.end} and has no result")
@@ -128,7 +136,7 @@ def _require_pass(store: Repository, record: RunRecord, stored: Sequence[StoredA
     if outcome not in (Outcome.PASS, Outcome.MARGINAL):
         reason = f"overridden by {overrides[-1].by}: {overrides[-1].why}" if overrides else latest.verdict.reason
         raise RefusedError(f"sensor {serial} is not certified: the verdict of run {run} is {outcome}: {reason}")
-    return latest
+    return latest, outcome
 
 
 def _load_calibration(store: Repository, analysis: StoredAnalysis) -> IssuedCalibration:

@@ -69,6 +69,7 @@ class Certificate:
     calibration, calibration_digest : calibration that is certified, and the SHA-256 of its content.
     performed : first and last day of the calibration (UTC).
     recipe_digest : SHA-256 of the recipe's content.
+    verdict : of the recipe's limits, an override included.
     sensor, head : sensor type and head in words.
     temperature_C : lowest and highest; None if it was not measured.
     range_N, radius_mm : forces, and distance from the centre, for which the calibration is valid.
@@ -89,6 +90,7 @@ class Certificate:
     calibration_digest: str
     performed: tuple[date, date]
     recipe_digest: str
+    verdict: str
     sensor: str
     head: str
     temperature_C: tuple[float, float] | None

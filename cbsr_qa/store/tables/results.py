@@ -154,12 +154,12 @@ class CertificateRow(Base):
     """Calibration certificate of a run, as it was issued; what happened to it later is a row of its own."""
 
     __tablename__ = "certificates"
-    __table_args__ = (Index(None, "run"), Index(None, "number", unique=True))
+    __table_args__ = (Index(None, "run"),)
 
     certificate: Mapped[str] = mapped_column(Identifier, primary_key=True)
     run: Mapped[str] = mapped_column(Identifier, ForeignKey("runs.run"))
     calibration: Mapped[str] = mapped_column(Identifier, ForeignKey("calibrations.calibration"))
-    number: Mapped[str] = mapped_column(Word(96))
+    number: Mapped[str] = mapped_column(Word(96), unique=True)
     issued_at: Mapped[datetime]
     signatory: Mapped[str]
     valid_until: Mapped[str | None] = mapped_column(Word(10))  #: ISO date; None: not stated

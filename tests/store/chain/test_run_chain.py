@@ -174,7 +174,7 @@ EDITS = {
     "the first link": ("delete from run_links where number = 0", "link 0 in run_links is missing"),
     "the last link": (
         "delete from run_links where run = :run and number = (select max(number) from run_links where run = :run)",
-        "verdict_overrides .* was added",
+        "certificate_withdrawals .* was added",
     ),
     "no links": ("delete from run_links", "run_links holds no link"),
     "no chain": ("update runs set chain = null", "states no chain, and run_links holds links"),
