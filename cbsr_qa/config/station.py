@@ -193,7 +193,7 @@ class SyncTable(Table):
             yield Problem(path, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
 
 
-Line = Annotated[str, Field(min_length=1, max_length=120, pattern=r"^\S+(?: \S+)*$")]
+Line = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S+(?: \S+)*$")]
 
 
 class CertificateTable(Table):

@@ -13,9 +13,9 @@ from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.report.render import make_environment, read_style
 
 #: Most checked loads in the table: more do not fit on the page. Those nearest to their limit are shown.
-_MOST_LOADS: Final = 12
+_MOST_LOADS: Final = 10
 #: Most reductions of the range that are written out.
-_MOST_REDUCED: Final = 6
+_MOST_REDUCED: Final = 5
 #: Where sensors are calibrated, for people.
 _PERFORMED: Final = {
     "laboratory": "at the laboratory",

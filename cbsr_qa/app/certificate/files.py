@@ -1,7 +1,7 @@
 """The files of a certificate: page, XML and signature, in one folder, named by its number."""
 
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
@@ -34,6 +34,7 @@ def write_files(folder: Path, number: str, contents: Mapping[str, bytes]) -> Ite
     RefusedError if a file exists, or cannot be written; none is there then.
     """
     check_absent(folder, number)
+    made = not folder.exists()
     paths = {ending: folder / f"{number}{ending}" for ending in contents}
     try:
         for ending, path in paths.items():
@@ -45,4 +46,7 @@ def write_files(folder: Path, number: str, contents: Mapping[str, bytes]) -> Ite
     except BaseException:
         for path in paths.values():
             path.unlink(missing_ok=True)
+        if made:
+            with suppress(OSError):  # others may have written to it meanwhile
+                folder.rmdir()
         raise

@@ -1,0 +1,291 @@
+"""Certificates of a simulated sensor, from the command line: issued, verified, replaced, revoked, refused."""
+
+import json
+import re
+import sqlite3
+from contextlib import closing
+from datetime import date
+from types import SimpleNamespace
+
+import pytest
+from certificates import HOSTILE, expanded_force, laboratory_table
+from certified_runs import copy_tested, write_station
+
+import cbsr_qa as qa
+from cbsr_qa.app.certificate import checked_loads, compose
+from cbsr_qa.app.certificate.compose import add_months, choose_places, number_certificate
+from cbsr_qa.app.certificate.verify import verify_certificate
+from cbsr_qa.calibration.file.keys import new_key
+from cbsr_qa.cli.main import run_guarded
+from cbsr_qa.config.loader import load_certificate_settings, load_station
+from cbsr_qa.domain.errors import CalibrationError, ConfigError
+from cbsr_qa.store.opening import open_store
+
+REST = pytest.mark.rest
+
+
+@pytest.fixture(autouse=True)
+def _budgets_by_hand(monkeypatch):
+    def evaluate(issued, forces_N=None, places_mm=None, *, settling_s=None):
+        return tuple(
+            expanded_force(place, force, 0.03 + 0.01 * force)
+            for place in places_mm
+            for force in forces_N or (issued.validity.force_N[0], 2.5, issued.validity.force_N[1])
+        )
+
+    for module in (compose, checked_loads):
+        monkeypatch.setattr(module, "evaluate_forces", evaluate)
+
+
+@pytest.fixture
+def place(tmp_path, monkeypatch, capsys):
+    """A folder with the database of a sensor that passed; runs commands there, and returns what they print."""
+    database = copy_tested(tmp_path, monkeypatch)
+    monkeypatch.chdir(tmp_path)
+
+    def certify(*words, code=0):
+        arguments = [*map(str, words), "--database", str(database), "--json"]
+        assert run_guarded(["certificate", *arguments]) == code, capsys.readouterr().err
+        return json.loads(capsys.readouterr().out)
+
+    return SimpleNamespace(folder=tmp_path, database=database, certify=certify)
+
+
+def change(database, statement):
+    with closing(sqlite3.connect(database)) as opened, opened:
+        assert opened.execute(statement).rowcount >= 1
+
+
+def issued_nothing(place):
+    with open_store(f"sqlite:///{place.database}") as store:
+        assert store.certificates.list_all() == ()
+    assert not (place.folder / "out").exists()
+
+
+@REST
+def test_a_certificate_is_issued_by_the_contract_and_holds(place):
+    made = place.certify("S-1", "--to", "out", "--customer", "Robots plc")
+    assert list(made) == ["number", "html", "dcc", "statement", "force", "standards"]
+    assert re.fullmatch(r"SSW-[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", made["number"])
+    assert made["statement"].startswith("The indicated force conforms with")
+    assert {tuple(one) for one in made["force"]} == {("place_mm", "force_N", "U_N", "k", "dof")}
+    assert all(one["U_N"] > 0 and one["k"] >= 1.96 for one in made["force"])
+    assert made["standards"][:2] == [
+        {"role": "load_cell", "number": "K-7", "due": "2099-03-31", "stated": True},
+        {"role": "indenter", "number": None, "due": None, "stated": False},
+    ]
+    for file in (made["html"], made["dcc"]):
+        verified = place.certify("verify", file)
+        assert (verified["valid"], verified["why"], verified["recorded"]) == (True, "", True)
+    page = (place.folder / made["html"]).read_text()
+    assert "Robots plc" in page
+    assert "<ul>\n<li>Simulated: bench: simulated bench" in page
+
+
+@REST
+def test_one_changed_byte_is_named_in_page_and_xml(place):
+    made = place.certify("S-1", "--to", "out")
+    for file in (made["html"], made["dcc"]):
+        path = place.folder / file
+        whole = path.read_bytes()
+        for at in (0, len(whole) // 2, len(whole) - 1):
+            path.write_bytes(whole[:at] + bytes([whole[at] ^ 1]) + whole[at + 1 :])
+            assert "changed since it was issued" in place.certify("verify", file, code=1)["why"]
+        path.write_bytes(whole)
+        place.certify("verify", file)
+
+
+@REST
+def test_a_signed_certificate_is_verified_without_the_database(place, monkeypatch):
+    new_key(place.folder / "a.key")
+    new_key(place.folder / "b.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    monkeypatch.setenv("CBSR_QA_VAR", str(place.folder / "elsewhere"))
+    path = place.folder / made["dcc"]
+    good = verify_certificate(path, public_key=place.folder / "a.key.pub").result
+    assert (good.valid, good.pinned, good.recorded) == (True, True, False)
+    other = verify_certificate(path, public_key=place.folder / "b.key.pub").result
+    assert "not by the pinned key" in other.why
+    path.write_bytes(path.read_bytes().replace(b"S-1", b"S-2"))
+    assert "changed since it was issued" in verify_certificate(path).result.why
+    path.with_name(f"{made['number']}.signature.json").unlink()
+    assert "nothing vouches for it" in verify_certificate(path).result.why
+    assert "a signature is required" in verify_certificate(path, public_key=place.folder / "a.key.pub").result.why
+
+
+@REST
+def test_a_certificate_lapses(place):
+    made = place.certify("S-1", "--to", "out", "--validity-months", "1")
+    path = place.folder / made["html"]
+    database = str(place.database)
+    until = date.fromisoformat(place.certify("verify", path)["valid_until"])
+    assert verify_certificate(path, database=database, today=until).result.valid
+    lapsed = verify_certificate(path, database=database, today=add_months(until, 1)).result
+    assert lapsed.why == f"it lapsed: it was valid until {until}"
+
+
+@REST
+def test_a_replacement_names_the_old_one_which_no_longer_holds(place):
+    old = place.certify("S-1", "--to", "out", "--customer", "Robots")
+    stands = place.certify("S-1", "--to", "out", code=2)["refused"]
+    assert stands["reason"] == f"certificate {old['number']} of this run stands"
+    new = place.certify("S-1", "--to", "out", "--replaces", old["number"], "--reason", "customer <renamed>")
+    assert new["number"] == f"{old['number']}-R1"
+    assert "customer &lt;renamed&gt;" in (place.folder / new["html"]).read_text()
+    why = place.certify("verify", old["html"], code=1)["why"]
+    assert f"certificate {old['number']} was replaced by certificate {new['number']}" in why
+    assert why.endswith("by Ada Otani: customer <renamed>")
+    place.certify("verify", new["html"])
+    again = place.certify("S-1", "--to", "out", "--replaces", old["number"], "--reason", "x", code=2)["refused"]
+    assert "does not stand" in again["reason"]
+
+
+@REST
+def test_a_revoked_certificate_is_named_by_database_list_and_runtime(place, capsys):
+    new_key(place.folder / "a.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    place.certify("revoke", made["number"], "--reason", "wrong head", "--by", "Zoë")
+    assert "was revoked on" in place.certify("verify", made["dcc"], code=1)["why"]
+    (listed,) = place.certify("list", "S-1")["certificates"]
+    assert listed["withdrawn"].endswith("by Zoë: wrong head")
+    place.certify("withdrawn", "--to", "withdrawn.json", "--key", "a.key")
+    path = place.folder / made["html"]
+    empty = place.folder / "elsewhere.db"
+    with open_store(f"sqlite:///{empty}"):
+        pass
+    assert "no certificate" in verify_certificate(path, database=str(empty)).result.why
+    found = verify_certificate(path, withdrawn=place.folder / "withdrawn.json", database=str(place.database)).result
+    assert "was revoked on" in found.why
+    assert run_guarded(["report", "S-1", "--database", str(place.database)]) == 0
+    capsys.readouterr()
+    (calibration,) = (place.folder / "var" / "calibrations").glob("*.h5")
+    seal = place.folder / "out" / f"{made['number']}.signature.json"
+    options = {"public_key": place.folder / "a.key.pub", "certificate": seal}
+    assert qa.load_calibration(calibration, **options).issued.force is not None
+    with pytest.raises(CalibrationError, match="was revoked on"):
+        qa.load_calibration(calibration, **options, withdrawn=place.folder / "withdrawn.json")
+    with pytest.raises(CalibrationError, match="lapsed"):
+        qa.load_calibration(calibration, **options, today=date(2999, 1, 1))
+
+
+@REST
+def test_a_revoked_certificate_may_be_followed_by_another_of_the_run(place):
+    first = place.certify("S-1", "--to", "out")
+    place.certify("revoke", first["number"], "--reason", "wrong customer")
+    assert place.certify("S-1", "--to", "out")["number"] == f"{first['number']}-R1"
+    assert place.certify("revoke", first["number"], "--reason", "again", code=2)["refused"]["reason"].startswith(
+        f"certificate {first['number']} does not stand"
+    )
+
+
+@REST
+def test_files_are_written_again_byte_for_byte(place):
+    new_key(place.folder / "a.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    place.certify("copy", made["number"], "--to", "again")
+    names = sorted(path.name for path in (place.folder / "out").iterdir())
+    assert [name.removeprefix(made["number"]) for name in names] == [".html", ".signature.json", ".xml"]
+    for name in names:
+        assert (place.folder / "again" / name).read_bytes() == (place.folder / "out" / name).read_bytes()
+    assert "exists already" in place.certify("copy", made["number"], "--to", "again", code=2)["refused"]["reason"]
+
+
+@REST
+def test_a_name_with_xml_in_it_is_text_in_both_documents(place):
+    made = place.certify("S-1", "--to", "out", "--customer", HOSTILE)
+    assert "<b>Sons" not in (place.folder / made["html"]).read_text()
+    assert "<b>Sons" not in (place.folder / made["dcc"]).read_text()
+    place.certify("verify", made["dcc"])
+
+
+REFUSED = {
+    "no run": (None, ("S-9", "--to", "out"), "there is no run and no sensor 'S-9'"),
+    "a broken chain": ("update loads set x_mm = x_mm + 1", ("S-1", "--to", "out"), "loads .* was changed"),
+    "a changed frame": ("update frame_blocks set voltages = zeroblob(9)", ("S-1", "--to", "out"), "frame"),
+    "no chain": ("update runs set chain = null", ("S-1", "--to", "out"), "states no chain"),
+    "no customer's name": (None, ("S-1", "--to", "out", "--customer", "a\nb"), "cannot be printed in one line"),
+    "no reason": (None, ("S-1", "--to", "out", "--replaces", "X"), "--replaces and --reason are given together"),
+    "nothing to replace": (
+        None,
+        ("S-1", "--to", "out", "--replaces", "SSW-1", "--reason", "x"),
+        "there is no certificate 'SSW-1'",
+    ),
+    "a file for a folder": (None, ("S-1", "--to", "station.toml"), "exists, and is not a folder"),
+    "no key": (None, ("S-1", "--to", "out", "--key", "none.key"), "key none.key cannot be read"),
+    "no laboratory": (None, ("S-1", "--to", "out", "--laboratory", "recipe.toml"), "not a certificate settings file"),
+    "odd months": (None, ("S-1", "--to", "out", "--validity-months", "0"), "certificate.validity_months"),
+    "a rule without requirement": (None, ("S-1", "--to", "out", "--decision", ""), "certificate.decision"),
+    "neither sensor nor batch": (None, ("--to", "out"), "give SERIAL or --batch"),
+    "no batch": (None, ("--batch", "B9", "--to", "out"), "no stored run is of batch 'B9'"),
+}
+
+
+@REST
+@pytest.mark.parametrize(("statement", "words", "said"), REFUSED.values(), ids=REFUSED)
+def test_what_cannot_be_certified_is_named_and_nothing_is_issued(place, statement, words, said):
+    if statement is not None:
+        change(place.database, statement)
+    refused = place.certify(*words, code=2)["refused"]
+    assert re.search(said, refused["reason"]), refused
+    if statement is None:
+        issued_nothing(place)
+    assert not (place.folder / "out").exists()
+
+
+@REST
+def test_a_destination_that_exists_is_refused(place):
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+    (place.folder / "out").mkdir()
+    (place.folder / "out" / f"SSW-{run}.xml").write_text("mine")
+    assert "exists already" in place.certify("S-1", "--to", "out", code=2)["refused"]["reason"]
+    assert [path.name for path in (place.folder / "out").iterdir()] == [f"SSW-{run}.xml"]
+
+
+@REST
+def test_a_sensor_that_failed_is_refused_also_by_a_person(place, capsys):
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+    words = ("verdict", "override", run, "--outcome", "fail", "--by", "Ada", "--why", "scratched")
+    assert run_guarded([*words, "--database", str(place.database)]) == 0
+    capsys.readouterr()
+    refused = place.certify("S-1", "--to", "out", code=2)["refused"]["reason"]
+    assert refused == f"sensor S-1 is not certified: the verdict of run {run} is fail: overridden by Ada: scratched"
+    issued_nothing(place)
+
+
+def test_months_end_with_the_month():
+    assert add_months(date(2027, 1, 31), 1) == date(2027, 2, 28)
+    assert add_months(date(2027, 11, 30), 3) == date(2028, 2, 29)
+    assert add_months(date(2027, 3, 5), 24) == date(2029, 3, 5)
+
+
+def test_numbers_of_one_run_differ():
+    assert number_certificate("LAB", "r", 0) == "LAB-r"
+    assert [number_certificate("LAB", "r", count) for count in (1, 2)] == ["LAB-r-R1", "LAB-r-R2"]
+
+
+def test_places_are_spread_from_the_centre_on():
+    grid = [SimpleNamespace(x_mm=float(x), y_mm=float(y)) for x in range(-30, 31, 10) for y in range(-30, 31, 10)]
+    chosen = choose_places(SimpleNamespace(baseline=grid))
+    assert len(chosen) == 9
+    assert chosen[0] == (0.0, 0.0)
+    assert {(x, y) for x in (-30.0, 30.0) for y in (-30.0, 30.0)} <= set(chosen)
+    assert choose_places(SimpleNamespace(baseline=grid[:2])) == ((-30.0, -20.0), (-30.0, -30.0))
+
+
+def test_a_laboratory_may_be_left_out_of_a_station_and_is_checked_in_it(tmp_path):
+    write_station(tmp_path / "a.toml")
+    assert load_station(str(tmp_path / "a.toml")).value.certificate.prefix == "SSW"
+    assert load_certificate_settings(str(tmp_path / "a.toml")).value.max_error_percent == 5.0
+    for changes, said in (
+        ({"prefix": "ssw"}, "certificate.prefix"),
+        ({"country": "Germany"}, "certificate.country"),
+        ({"signatory": " Ada"}, "certificate.signatory"),
+        ({"max_error_N": -0.1}, "certificate.max_error_N"),
+        ({"decision": "hopeful"}, "certificate.decision"),
+        ({"max_error_N": 0.0, "max_error_percent": 0.0}, "are stated together"),
+    ):
+        write_station(tmp_path / "b.toml", laboratory_table(**changes))
+        with pytest.raises(ConfigError, match=said):
+            load_station(str(tmp_path / "b.toml"))

@@ -1,0 +1,196 @@
+"""The page of a certificate: what it states, how texts enter it, and that it prints on two sides."""
+
+import re
+import shutil
+import subprocess
+from dataclasses import replace
+from html.parser import HTMLParser
+
+import pytest
+from certificates import HOSTILE, certificate, checked_load, expanded_force, largest_certificate, settings
+
+from cbsr_qa.domain.results.certificate import Customer, Replacement
+from cbsr_qa.report.certificate import (
+    choose_loads,
+    describe_rule,
+    describe_traceability,
+    format_with_uncertainty,
+    list_remarks,
+    render_certificate,
+    state_conformity,
+)
+
+_CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
+
+
+class _Text(HTMLParser):
+    """Text and tags of a page, as a browser reads them."""
+
+    def __init__(self, page):
+        super().__init__()
+        self.words, self.tags = [], []
+        self.feed(page)
+
+    def handle_data(self, data):
+        self.words.append(data)
+
+    def handle_starttag(self, tag, attrs):
+        self.tags.append(tag)
+
+
+def text_of(page):
+    return " ".join(" ".join(_Text(page).words).split())
+
+
+def test_the_page_states_what_a_certificate_must():
+    one = certificate()
+    text = text_of(render_certificate(one, "9df4-03dd"))
+    for stated in (
+        "Calibration certificate",
+        "Soft Sensor Works Werkstraße 5, 38116 Braunschweig, DE",
+        "S-1",
+        "Robots plc",
+        "Hall 3, line 1, at the laboratory",
+        "Date of calibration 2026-11-21",
+        "Date of issue 2026-11-22",
+        "2027-11-21, as agreed with the customer",
+        f"Recipe short SHA-256 of the recipe {64 * 'd'}",
+        f"{one.calibration} SHA-256 of its content {64 * 'c'}",
+        "22.4 °C to 23.1 °C",
+        "load cell U = 0.2 % (k = 2), certificate K-7 of D-K-1, due 2027-03-31",
+        "indenter not stated",
+        "The results relate only to the item named above",
+        "may be reproduced only in full",
+        "signed electronically (Ed25519) beside it, by the key 9df4-03dd",
+        "Ada Otani, head of the laboratory",
+    ):
+        assert stated in text, stated
+    assert text.count(f"Certificate {one.number}") == 2
+    assert "page 1 of 2" in text
+    assert text.endswith("End of the certificate · page 2 of 2")
+
+
+def test_what_was_not_stated_is_said_to_be_not_stated():
+    bare = certificate(customer=Customer(), temperature_C=None, standards=(), valid_until=None)
+    text = text_of(render_certificate(bare, ""))
+    for stated in (
+        "Customer not stated",
+        "Temperature not measured",
+        "load cell not stated",
+        "Valid until not stated",
+    ):
+        assert stated in text, stated
+    assert "not signed electronically" in text
+    assert "no traceability of force to the SI is claimed" in text
+
+
+def test_the_first_remark_says_what_was_simulated():
+    assert list_remarks(certificate())[0] == "Nothing was simulated."
+    simulated = certificate(identity=replace(certificate().identity, simulated=("bench: seed 7", "the sheet")))
+    assert list_remarks(simulated)[0] == "Simulated: bench: seed 7; the sheet."
+    assert describe_traceability(simulated) == "The calibration was simulated: no traceability to the SI is claimed."
+    page = render_certificate(simulated, "")
+    assert "<ul>\n<li>Simulated: bench: seed 7; the sheet.</li>" in page
+    assert "Simulated: no physical sensor was calibrated." in page
+    assert "Simulated" not in render_certificate(certificate(), "")
+
+
+def test_inputs_that_nothing_states_are_named():
+    forces = (expanded_force(not_stated=["drift of the load cell"]), expanded_force(not_stated=["temperature"]))
+    assert list_remarks(certificate(forces=forces))[1] == (
+        "Not in U, since nothing states them: drift of the load cell; temperature."
+    )
+
+
+def test_names_with_markup_are_text():
+    page = render_certificate(certificate(customer=Customer(HOSTILE, HOSTILE)), "")
+    plain = _Text(render_certificate(certificate(), ""))
+    assert _Text(page).tags == plain.tags
+    assert "".join(_Text(page).words).count(HOSTILE) == 2
+
+
+def test_a_page_holds_no_script_and_loads_nothing():
+    page = render_certificate(certificate(), "")
+    assert not re.search(r"<script|https?://|url\(|@import|<img|<link", page)
+
+
+def test_a_replacement_names_the_certificate_before_it_and_the_reason():
+    text = text_of(render_certificate(certificate(replaced=Replacement("SSW-1", "name <corrected>")), ""))
+    assert "This certificate replaces certificate SSW-1 , which is no longer valid. Reason: name <corrected>" in text
+
+
+@pytest.mark.parametrize(
+    ("value", "expanded", "shown"),
+    [
+        (1.23456, 0.0914, ("1.235", "0.091")),
+        (1.23456, 0.104, ("1.23", "0.10")),
+        (-0.004, 0.11, ("−0.00", "0.11")),
+        (12.3456, 1.26, ("12.3", "1.3")),
+        (1234.5, 57.0, ("1234", "57")),
+    ],
+)
+def test_values_end_at_the_second_digit_of_their_uncertainty(value, expanded, shown):
+    """JCGM 100, 7.2.6."""
+    assert format_with_uncertainty(value, expanded) == shown
+
+
+def test_conformity_is_stated_with_its_risk():
+    one = certificate()
+    assert state_conformity(one).startswith(
+        "The indicated force conforms with the maximum permissible error: of 2 checked loads, 2 conform."
+        " Largest specific risk of false acceptance:"
+    )
+    assert "T = 0.2 N + 5 % of the force" in describe_rule(one)
+    assert "w = U (JCGM 106:2012, 8.3)" in describe_rule(one)
+
+
+@pytest.mark.parametrize(
+    ("errors", "outcome", "said"),
+    [
+        ((0.0, 0.25), "conditionalPass", "is not decided: of 2 checked loads, 1 conform, 1 within the limit, inside"),
+        ((0.0, 0.35), "conditionalFail", "is not decided: of 2 checked loads, 1 conform, 1 beyond the limit"),
+        (
+            (0.0, 0.9),
+            "fail",
+            "does not conform with the maximum permissible error: of 2 checked loads, 1 conform",
+        ),
+    ],
+)
+def test_the_worst_load_decides(errors, outcome, said):
+    judged = certificate(checked=tuple(map(checked_load, errors)))
+    assert judged.outcome == outcome
+    assert said in state_conformity(judged)
+
+
+def test_nothing_is_stated_without_a_requirement_or_a_load():
+    stated = settings(max_error_N=0.0, max_error_percent=0.0, decision="")
+    none = certificate(settings=stated, checked=(checked_load(stated=stated),))
+    assert none.outcome == ""
+    assert "no maximum permissible error was stated" in state_conformity(none)
+    assert "learned from" in state_conformity(certificate(checked=()))
+    text = text_of(render_certificate(none, ""))
+    assert "decision" not in text.partition("Conformity")[0].partition("Results: errors")[2]
+
+
+def test_simple_acceptance_is_named():
+    assert "Simple acceptance" in describe_rule(certificate(settings=settings(decision="simple")))
+
+
+def test_the_loads_nearest_to_their_limit_are_listed_in_order():
+    loads = [checked_load(0.01 * n, 2.0) for n in range(20)]
+    assert choose_loads(loads) == loads[10:]
+
+
+@pytest.mark.rest
+@pytest.mark.skipif(_CHROMIUM is None, reason="chromium is not installed")
+@pytest.mark.parametrize("made", [certificate, largest_certificate], ids=["usual", "largest"])
+def test_a_certificate_prints_on_two_sides(tmp_path, made):
+    page = tmp_path / "page.html"
+    page.write_text(render_certificate(made(), "9df4-03dd-2b1e-5067-452b-0447-c326-7d0e"))
+    subprocess.run(
+        [_CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
+         f"--print-to-pdf={tmp_path / 'page.pdf'}", page.as_uri()],
+        check=True, capture_output=True, timeout=120,
+    )  # fmt: skip
+    printed = (tmp_path / "page.pdf").read_bytes()
+    assert len(re.findall(rb"/Type\s*/Page\b", printed)) == 2
