@@ -37,6 +37,8 @@ READER = "reads by the opener"
 
 ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/analysis/recording_files.py", "h5py.File"): (2, MEMORY),
+    ("cbsr_qa/app/certificate/compose.py", "json.loads"): (2, DATABASE),
+    ("cbsr_qa/app/certificate/request.py", "json.loads"): (1, DATABASE),
     ("cbsr_qa/app/changes.py", "json.loads"): (1, DATABASE),
     ("cbsr_qa/app/export/netcdf.py", "h5py.File"): (1, MEMORY),
     ("cbsr_qa/app/reanalyse/judging.py", "json.loads"): (3, DATABASE),

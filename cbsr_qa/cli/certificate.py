@@ -111,7 +111,7 @@ def verify(
 ) -> int:
     """Check that a certificate is unchanged, signed, in date, and neither replaced nor revoked.
 
-    The signature file and the database vouch for it, whichever is there. Exit code 1 unless it is valid.
+    It is compared with its signature file and with the database, whichever is there. Exit code 1 unless it is valid.
     """
     from cbsr_qa.app.certificate.verify import verify_certificate
 

@@ -26,7 +26,7 @@ _PAGES = sorted([TOP / "README.md", *(TOP / "docs").rglob("*.md")])
 
 
 def test_commands_that_are_shown_exist():
-    known = {command.words for command in cli.commands()}
+    known = {command.words for command in cli.commands()} | {name for name, word in cli._DEFAULTS.items() if word}
     for page in _PAGES:
         for command in commands(page):
             program, *words = shlex.split(command)

@@ -91,7 +91,7 @@ def verify_certificate(
     check.read_number(data)
     whys = [*check.find_signature_problems(signature), *check.find_record_problems(database)]
     if check.seal is None and check.record is None and not whys:
-        whys.append("nothing vouches for it: there is no signature file beside it, and no database has it")
+        whys.append("it is unknown who issued it: there is no signature file beside it, and no database has it")
     whys += [*check.find_digest_problems(hashlib.sha256(data).hexdigest()), *check.find_validity_problems()]
     whys += check.find_listed_problems(withdrawn)
     warnings = [_NOT_PINNED] if check.signed_by and public_key is None and check.record is None else []
@@ -100,7 +100,7 @@ def verify_certificate(
 
 
 class _Check:
-    """One file, and what vouches for it."""
+    """One file, and what is known of it."""
 
     def __init__(self, path: Path, public_key: Path | None, today: date) -> None:
         self.path, self.public_key, self.today = path, public_key, today

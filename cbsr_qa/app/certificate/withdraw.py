@@ -6,12 +6,12 @@ from datetime import datetime
 from pathlib import Path
 
 from cbsr_qa.app.certificate.files import list_contents, write_files
-from cbsr_qa.calibration.file.certified import Withdrawn, WithdrawnList, sign, to_text
+from cbsr_qa.calibration.file.certified import Withdrawn, WithdrawnList, read_withdrawn, sign, to_text
 from cbsr_qa.calibration.file.hdf5 import calibration_of
 from cbsr_qa.calibration.file.keys import signing_key
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_operator, validate_reason
-from cbsr_qa.domain.errors import ConfigError, RefusedError
+from cbsr_qa.domain.errors import CalibrationError, ConfigError, RefusedError
 from cbsr_qa.domain.results.certificate import NOT_STATED
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
 from cbsr_qa.domain.results.report import CommandOutcome, Section
@@ -120,8 +120,13 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
         If the key cannot be used, or the file is something else or cannot be written.
     """
     own_key = signing_key(key)
-    if path.exists() and not path.read_bytes()[:400].count(b"cbsr-qa withdrawn") and path.stat().st_size:
-        raise RefusedError(f"{path} exists, and is no list of withdrawn certificates", remedy="name another file")
+    if path.exists():
+        try:
+            read_withdrawn(path)
+        except CalibrationError as error:
+            raise RefusedError(
+                f"{path} exists, and is no such list: {error.reason}", remedy="name another file"
+            ) from error
     with open_store(database_url(database), create=False) as store:
         withdrawn = _list_withdrawn(store, store.certificates.list_all())
     signed = sign(WithdrawnList(withdrawn), own_key, RealClock().wall())
