@@ -44,8 +44,9 @@ def write_recipe(path, upper_N=0.6):
 
 def write_station(path, table=None, standards=_STANDARDS):
     """Write a simulated station with standards and a laboratory."""
-    shipped = (_SHIPPED / "simulated.toml").read_text().partition("[certificate]")[0]
-    path.write_text(f"{shipped}{standards}\n{laboratory_table() if table is None else table}")
+    shipped = (_SHIPPED / "simulated.toml").read_text()
+    bare = re.sub(r"\[certificate\].*?\n(?=\[)", "", shipped, flags=re.DOTALL)
+    path.write_text(f"{bare}{standards}\n{laboratory_table() if table is None else table}")
 
 
 def _make(folder):
