@@ -11,7 +11,7 @@ from cbsr_qa.config.recipe import RecipeFile
 from cbsr_qa.config.scene import SceneFile
 from cbsr_qa.config.sensor_type import SensorTypeFile
 from cbsr_qa.config.standards import StandardsFile
-from cbsr_qa.config.station import StationFile
+from cbsr_qa.config.station import CertificateFile, StationFile
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.studies.gauge import references
 from cbsr_qa.studies.gauge.request import StudyFile
@@ -26,11 +26,13 @@ MODELS = {
     DocumentKind.REFERENCES: references._ReferenceFile,
     DocumentKind.GAUGE_STUDY: StudyFile,
     DocumentKind.STANDARDS: StandardsFile,
+    DocumentKind.CERTIFICATE: CertificateFile,
 }
 OWN = {
     DocumentKind.LIMITS: '[limits_version]\nversion = "1"\n[[limits]]\nmeasurement = "drift"\n',
     DocumentKind.REFERENCES: '[[reference]]\nserial = "G-1"\n',
     DocumentKind.STANDARDS: '[standards.load_cell]\nunit = "N"\n',
+    DocumentKind.CERTIFICATE: '[certificate]\nprefix = "LAB"\n',
     DocumentKind.GAUGE_STUDY: '[study]\nrecipe = "golden-check"\n[[reference]]\nserial = "G-1"\n',
 }
 

@@ -113,5 +113,5 @@ def test_canonical_json_is_written_in_one_way_and_holds_no_nan():
 
 def test_kinds_have_names_for_messages():
     files = ["station", "recipe", "sensor type", "material", "scene"]
-    named = [*files, "gauge study", "limits", "reference values", "standards"]
+    named = [*files, "gauge study", "limits", "reference values", "standards", "certificate settings"]
     assert [kind.noun for kind in DocumentKind] == named
