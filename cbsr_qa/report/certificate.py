@@ -151,6 +151,13 @@ def list_remarks(certificate: Certificate) -> list[str]:
     missing = list(dict.fromkeys(name for force in certificate.forces for name in force.not_stated))
     if missing:
         remarks.append(f"Not in U, since nothing states them: {'; '.join(missing)}.")
+    bent = [force for force in certificate.forces if force.monte_carlo is not None]
+    if bent:
+        ratio = max(force.monte_carlo.half_width / force.U_N for force in bent if force.monte_carlo is not None)
+        remarks.append(
+            f"At {len(bent)} of {len(certificate.forces)} forces the model bends within U: half the interval of"
+            f" 95 % by random numbers (JCGM 101:2008) is at most {ratio:.2f} U."
+        )
     reduced = certificate.reduced
     remarks += [f"{reason[:1].upper()}{reason[1:]}." for reason in reduced[:_MOST_REDUCED]]
     if len(reduced) > _MOST_REDUCED:
@@ -163,7 +170,7 @@ def _standards(certificate: Certificate) -> Iterator[tuple[str, str]]:
     stated = {standard.role: standard for standard in certificate.standards}
     for role in StandardRole:
         standard = stated.pop(str(role), None)
-        yield str(role).replace("_", " "), NOT_STATED if standard is None else standard.words()
+        yield str(role).replace("_", " "), NOT_STATED if standard is None else standard.all_words()
 
 
 def _row(forces: Sequence[ExpandedForce]) -> list[ExpandedForce]:

@@ -173,7 +173,7 @@ def _add_equipment(equipment: Element, certificate: Certificate) -> None:
     for standard in certificate.standards:
         element = _add(equipment, "measuringEquipment")
         _add_text(element, "name", standard.role_words)
-        _add_text(element, "description", standard.words())
+        _add_text(element, "description", standard.all_words())
         _add_identifications(element, "other", [("calibration certificate", standard.certificate)])
     for instrument in certificate.identity.instruments:
         element = _add(equipment, "measuringEquipment")

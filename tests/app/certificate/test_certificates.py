@@ -8,11 +8,10 @@ from datetime import date
 from types import SimpleNamespace
 
 import pytest
-from certificates import HOSTILE, expanded_force, laboratory_table
+from certificates import HOSTILE, laboratory_table
 from certified_runs import copy_tested, write_station
 
 import cbsr_qa as qa
-from cbsr_qa.app.certificate import checked_loads, compose
 from cbsr_qa.app.certificate.compose import add_months, choose_places, number_certificate
 from cbsr_qa.app.certificate.verify import verify_certificate
 from cbsr_qa.calibration.file.keys import new_key
@@ -22,19 +21,6 @@ from cbsr_qa.domain.errors import CalibrationError, ConfigError
 from cbsr_qa.store.opening import open_store
 
 REST = pytest.mark.rest
-
-
-@pytest.fixture(autouse=True)
-def _budgets_by_hand(monkeypatch):
-    def evaluate(issued, forces_N=None, places_mm=None, *, settling_s=None):
-        return tuple(
-            expanded_force(place, force, 0.03 + 0.01 * force)
-            for place in places_mm
-            for force in forces_N or (issued.validity.force_N[0], 2.5, issued.validity.force_N[1])
-        )
-
-    for module in (compose, checked_loads):
-        monkeypatch.setattr(module, "evaluate_forces", evaluate)
 
 
 @pytest.fixture
@@ -252,6 +238,16 @@ def test_a_sensor_that_failed_is_refused_also_by_a_person(place, capsys):
     refused = place.certify("S-1", "--to", "out", code=2)["refused"]["reason"]
     assert refused == f"sensor S-1 is not certified: the verdict of run {run} is fail: overridden by Ada: scratched"
     issued_nothing(place)
+
+
+@REST
+def test_a_batch_is_certified_and_who_got_none_is_named(place):
+    made = place.certify("--batch", "B7", "--to", "out")
+    assert [one["number"] for one in made["issued"]] == [path.stem for path in (place.folder / "out").glob("*.html")]
+    assert made["refused"] == []
+    again = place.certify("--batch", "B7", "--to", "out", code=1)
+    assert again["issued"] == []
+    assert "stands" in again["refused"][0]["reason"]
 
 
 def test_months_end_with_the_month():
