@@ -16,6 +16,8 @@ from cbsr_qa.report.render import make_environment, read_style
 _MOST_LOADS: Final = 10
 #: Most reductions of the range that are written out.
 _MOST_REDUCED: Final = 5
+#: Characters of the texts of any length on the first side, above which its letters are smaller.
+_MOST_TEXT: Final = 900
 #: Where sensors are calibrated, for people.
 _PERFORMED: Final = {
     "laboratory": "at the laboratory",
@@ -31,6 +33,16 @@ _OUTCOMES: Final = {
     "fail": "does not conform",
     "": "",
 }
+#: The same in the table of loads.
+_DECISIONS: Final = {
+    "pass": "conforms",
+    "conditionalPass": "in guard band",
+    "conditionalFail": "beyond T by < U",
+    "fail": "does not conform",
+    "": "",
+}
+#: Degrees of freedom above which k is that of infinitely many, within 0.003.
+_MANY: Final = 999
 
 
 def render_certificate(certificate: Certificate, fingerprint: str) -> str:
@@ -51,6 +63,7 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
             traceability=describe_traceability(certificate),
             fingerprint=fingerprint,
             standards=list(_standards(certificate)),
+            dense=_count_long_texts(certificate) > _MOST_TEXT,
             forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
             places=list(_places(certificate.forces)),
             settling_s=format_value(certificate.forces[0].settling_s, 3),
@@ -77,7 +90,9 @@ def format_with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
 
 def format_dof(dof: float) -> str:
     """Return degrees of freedom, truncated as k is (JCGM 100, G.6.4)."""
-    return "∞" if dof == inf else str(floor(dof))
+    if dof == inf:
+        return "∞"
+    return f">{_MANY}" if dof > _MANY else str(floor(dof))
 
 
 def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:
@@ -173,6 +188,17 @@ def _standards(certificate: Certificate) -> Iterator[tuple[str, str]]:
         yield str(role).replace("_", " "), NOT_STATED if standard is None else standard.all_words()
 
 
+def _count_long_texts(certificate: Certificate) -> int:
+    """Return the characters of texts on the first side that may be long."""
+    identity, settings, customer = certificate.identity, certificate.settings, certificate.customer
+    texts = [text for _, text in _standards(certificate)]
+    texts += [f"{one.role}: {one.model}, serial number {one.serial}; " for one in identity.instruments]
+    texts += [str(part) for part in identity.parts]
+    texts += [settings.laboratory, settings.street, settings.place, customer.name, customer.address]
+    texts += [] if certificate.replaced is None else [certificate.replaced.why]
+    return sum(map(len, texts))
+
+
 def _row(forces: Sequence[ExpandedForce]) -> list[ExpandedForce]:
     """Return the forces of the first place: all places have the same."""
     return [force for force in forces if force.place_mm == forces[0].place_mm]
@@ -199,4 +225,4 @@ def _load(load: CheckedLoad) -> tuple[str, ...]:
     limit = "" if load.max_error_N is None else format_with_uncertainty(load.max_error_N, load.expanded.U_N)[0]
     place = _place(load.expanded.place_mm)
     k = f"{load.expanded.k:.2f}"
-    return place, reference, indicated, error, expanded, k, limit, _OUTCOMES[load.outcome].split(":")[0]
+    return place, reference, indicated, error, expanded, k, limit, _DECISIONS[load.outcome]

@@ -2,7 +2,6 @@
 
 import re
 import shutil
-import subprocess
 from dataclasses import replace
 from html.parser import HTMLParser
 
@@ -181,16 +180,35 @@ def test_the_loads_nearest_to_their_limit_are_listed_in_order():
     assert choose_loads(loads) == loads[10:]
 
 
+@pytest.fixture(scope="module")
+def browser():
+    """A real browser; skips, saying so, without one."""
+    if _CHROMIUM is None:
+        pytest.skip("chromium is not installed")
+    from playwright.sync_api import sync_playwright
+
+    with sync_playwright() as playwright:
+        launched = playwright.chromium.launch(executable_path=_CHROMIUM, args=["--no-sandbox", "--disable-gpu"])
+        yield launched
+        launched.close()
+
+
+#: Lowest edge of what a side shows, its footer left out, and the footer's upper edge, of each side [pixels].
+_EDGES = """sides => sides.map(side => [
+    Math.max(...[...side.querySelectorAll(":scope > :not(footer)")].map(one => one.getBoundingClientRect().bottom)),
+    side.querySelector("footer").getBoundingClientRect().top,
+])"""
+
+
 @pytest.mark.rest
-@pytest.mark.skipif(_CHROMIUM is None, reason="chromium is not installed")
 @pytest.mark.parametrize("made", [certificate, largest_certificate], ids=["usual", "largest"])
-def test_a_certificate_prints_on_two_sides(tmp_path, made):
-    page = tmp_path / "page.html"
-    page.write_text(render_certificate(made(), "9df4-03dd-2b1e-5067-452b-0447-c326-7d0e"))
-    subprocess.run(
-        [_CHROMIUM, "--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer",
-         f"--print-to-pdf={tmp_path / 'page.pdf'}", page.as_uri()],
-        check=True, capture_output=True, timeout=120,
-    )  # fmt: skip
-    printed = (tmp_path / "page.pdf").read_bytes()
-    assert len(re.findall(rb"/Type\s*/Page\b", printed)) == 2
+def test_a_certificate_prints_on_two_sides_and_nothing_overlaps(browser, made):
+    page = browser.new_page()
+    page.emulate_media(media="print")
+    page.set_content(render_certificate(made(), "9df4-03dd-2b1e-5067-452b-0447-c326-7d0e"))
+    edges = page.eval_on_selector_all(".side", _EDGES)
+    assert len(edges) == 2
+    for lowest, footer in edges:
+        assert lowest <= footer
+    assert len(re.findall(rb"/Type\s*/Page\b", page.pdf(prefer_css_page_size=True))) == 2
+    page.close()

@@ -112,7 +112,7 @@ def largest_certificate():
             certificate().identity, simulated=simulated, instruments=4 * certificate().identity.instruments
         ),
         forces=tuple(forces),
-        checked=tuple(checked_load(0.01 * n, 1.5 + 0.1 * n) for n in range(25)),
+        checked=tuple(checked_load(0.02 * n, 1.5 + 0.1 * n) for n in range(25)),
         reduced=tuple(
             f"reason number {n} why the range is smaller than the recipe intended, in words" for n in range(9)
         ),

@@ -2,13 +2,14 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import hypot
+from math import hypot, isfinite
 from typing import Final
 
 from cbsr_qa.analysis.defects.load_cell import describe_cell_limit
 from cbsr_qa.analysis.run.loads import list_neighbours, load_window, mean_force
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
+from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.plan.plan import CertificateSettings, Recipe
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.loads import LoadRecord
@@ -38,7 +39,7 @@ def check_loads(
     Raises
     ------
     CalibrationError
-        If the uncertainty of a force cannot be evaluated.
+        If the uncertainty of a force cannot be evaluated, or the calibration tells none of such a load.
     """
     return tuple(
         _judge_load(reading, calibration, settings)
@@ -57,15 +58,20 @@ def _read_loads(
     lowest_N, highest_N = validity.force_N
     for load in phase.loads:
         window = load_window(phase, load, recipe.analysis)
+        last = window.steady.select(slice(len(window.steady) - 1, None))  # U is that of one frame
         samples = phase.channel("force")
-        reference_N, _ = mean_force(samples, window.steady, load)
+        reference_N, _ = mean_force(samples, last, load)
         if reference_N is None or describe_cell_limit(samples, load) or _has_neighbours(phase, load, record):
             continue
         place_mm = load.load.x_mm, load.load.y_mm
         if not (lowest_N <= reference_N <= highest_N and hypot(*place_mm) <= validity.radius_mm):
             continue
-        forces = calibration.force(window.steady.voltages, place_mm=place_mm)
-        yield _Reading(phase.name, place_mm, reference_N, float(forces.force_N.mean()))
+        (indicated_N,) = calibration.force(last.voltages, place_mm=place_mm).force_N.tolist()
+        if not isfinite(indicated_N):
+            raise CalibrationError(
+                f"the calibration tells no force of load {load.load.label} of phase {phase.name!r}, within its range"
+            )
+        yield _Reading(phase.name, place_mm, reference_N, indicated_N)
 
 
 def _has_neighbours(phase: PhaseRecord, load: LoadRecord, record: RunRecord) -> bool:

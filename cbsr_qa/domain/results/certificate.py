@@ -35,8 +35,8 @@ class CheckedLoad:
     Parameters
     ----------
     phase : phase of the run.
-    reference_N : mean of the load cell over the last frames of the hold.
-    indicated_N : mean over the same frames by the calibration, the place known.
+    reference_N : mean of the load cell from the last frame of the hold to its end.
+    indicated_N : by the calibration, from that frame, the place known.
     expanded : uncertainty of the indicated force at this place and force.
     max_error_N : maximum permissible error; None without a requirement.
     outcome : decision, a word of :class:`cbsr_qa.stats.conformity.Conformity`; empty without a requirement.
