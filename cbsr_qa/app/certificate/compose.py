@@ -31,10 +31,17 @@ _MOST_PLACES: Final = 9
 
 @dataclass(frozen=True, slots=True)
 class Composed:
-    """A certificate, and the file of the private key that signs it; None: it is not signed."""
+    """A certificate that is not issued yet.
+
+    Parameters
+    ----------
+    key : file of the private key that signs it; None: it is not signed.
+    checked_link : digest of the last link of its run, which was checked up to there.
+    """
 
     certificate: Certificate
     key: Path | None
+    checked_link: str
 
 
 def compose_certificate(store: Repository, run: str, request: CertificateRequest, now: datetime) -> Composed:
@@ -94,7 +101,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         valid_until=valid_until,
         replaced=Replacement(request.replaces, request.why) if request.replaces else None,
     )
-    return Composed(certificate, key)
+    return Composed(certificate, key, record.chain_head)
 
 
 def number_certificate(prefix: str, run: str, earlier: int) -> str:

@@ -177,7 +177,7 @@ def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[Ce
     key = None if composed.key is None else signing_key(composed.key)
     issued = _render(composed, key, now)
     with write_files(request.folder, certificate.number, list_contents(issued)) as paths:
-        store.certificates.save(issued)
+        store.certificates.save(issued, checked_link=composed.checked_link)
     files = CertificateFiles(
         certificate.number,
         paths[HTML],

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, func, select
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.results.certificate_records import CertificateWithdrawal, IssuedCertificate, StoredCertificate
 from cbsr_qa.store.chain.check import check_run
-from cbsr_qa.store.chain.links import add_rows
+from cbsr_qa.store.chain.links import add_rows, chain_head
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.tables.results import AnalysisRow, CertificateRow, CertificateWithdrawalRow
@@ -37,8 +37,13 @@ class Certificates:
         with reading(self._engine) as connection:
             return connection.scalar(query) or 0
 
-    def save(self, issued: IssuedCertificate) -> None:
+    def save(self, issued: IssuedCertificate, *, checked_link: str = "") -> None:
         """Store a certificate, and the withdrawal of the one that it replaces, in one transaction.
+
+        Parameters
+        ----------
+        checked_link : digest of the last link of its run that was checked when the run was loaded (``chain_head``);
+            the run is not checked again unless rows were added since.
 
         Raises
         ------
@@ -48,7 +53,8 @@ class Certificates:
         """
         certificate, withdrawal = self._new_id(), self._new_id()
         with writing(self._engine) as connection:
-            check_run(connection, issued.run)
+            if not checked_link or chain_head(connection, issued.run) != checked_link:
+                check_run(connection, issued.run)
             replaced = None if issued.replaces is None else _read_standing(connection, issued.replaces)
             _check_replacement(connection, issued, replaced)
             digests = {"html_sha256": _sha256(issued.html), "dcc_sha256": _sha256(issued.dcc)}
