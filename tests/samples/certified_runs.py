@@ -13,7 +13,7 @@ from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.run import run_sensor
 
 _SHIPPED = Path(cbsr_qa._stations.__file__).parent
-_STANDARDS = """
+STANDARDS = """
 [standards.load_cell]
 certificate = "K-7"
 laboratory = "D-K-1"
@@ -42,7 +42,7 @@ def write_recipe(path, upper_N=0.6):
     path.write_text(head.replace("count = 10", "count = 5") + _LIMIT.format(upper=upper_N))
 
 
-def write_station(path, table=None, standards=_STANDARDS):
+def write_station(path, table=None, standards=STANDARDS):
     """Write a simulated station with standards and a laboratory."""
     shipped = (_SHIPPED / "simulated.toml").read_text()
     bare = re.sub(r"\[certificate\].*?\n(?=\[)", "", shipped, flags=re.DOTALL)

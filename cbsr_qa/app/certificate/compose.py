@@ -133,7 +133,7 @@ def _recipe_content(analysis: StoredAnalysis, configuration: str) -> Any:
 def _require_pass(
     store: Repository, record: RunRecord, stored: Sequence[StoredAnalysis]
 ) -> tuple[StoredAnalysis, Outcome]:
-    """Return the latest analysis of a run of a sensor that passed, and its verdict."""
+    """Return the latest analysis of a run that passed and issued a calibration, and its verdict."""
     run, serial = record.identity.run, record.identity.sensor.serial
     if not stored:
         raise RefusedError(f"run {run} of sensor {serial} is not certified: it was {record.end} and has no result")
@@ -143,15 +143,16 @@ def _require_pass(
     if outcome not in (Outcome.PASS, Outcome.MARGINAL):
         reason = f"overridden by {overrides[-1].by}: {overrides[-1].why}" if overrides else latest.verdict.reason
         raise RefusedError(f"sensor {serial} is not certified: the verdict of run {run} is {outcome}: {reason}")
+    if latest.calibration is None:
+        raise RefusedError(
+            f"run {run} is not certified: it issued no calibration: {latest.calibration_why}",
+            remedy="name another run of the sensor; cbsr-qa runs lists them",
+        )
     return latest, outcome
 
 
 def _load_calibration(store: Repository, analysis: StoredAnalysis) -> IssuedCalibration:
-    if analysis.calibration is None:
-        raise RefusedError(
-            f"run {analysis.run} is not certified: it issued no calibration: {analysis.calibration_why}",
-            remedy="name another run of the sensor; cbsr-qa runs lists them",
-        )
+    assert analysis.calibration is not None
     file, digest = store.calibrations.load_file(analysis.calibration)
     issued = calibration_of(file, issued=digest)
     if issued.force is None or issued.validity.force_N is None:

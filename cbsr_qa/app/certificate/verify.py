@@ -28,6 +28,7 @@ _NUMBER: Final = re.compile(
 _NOT_PINNED: Final = (
     "no key was pinned, so anybody may have made it: --public-key FILE requires the key that you trust"
 )
+_OR_PIN: Final = "; --public-key FILE checks it by the key of its laboratory alone"
 _NOT_LOOKED_UP: Final = (
     "not looked up in the database of the laboratory: whether it was replaced or revoked is not known"
 )
@@ -143,8 +144,8 @@ class _Check:
             except StoreError as error:
                 yield error.reason
                 return
-            if self.record is None and (database is not None or self.seal is None):
-                yield f"{store.shown} has no certificate {self.number or 'of this file'}"
+            if self.record is None and (database is not None or self.public_key is None):
+                yield f"{store.shown} has no certificate {self.number or 'of this file'}{_OR_PIN if self.public_key is None else ''}"
         if self.record is not None and self.record.withdrawal is not None:
             yield f"certificate {self.number} was {self.record.withdrawal.words}"
 

@@ -8,8 +8,10 @@ from datetime import date
 from types import SimpleNamespace
 
 import pytest
+from altered_runs import fill
 from certificates import HOSTILE, laboratory_table
-from certified_runs import copy_tested, write_station
+from certified_runs import STANDARDS, copy_tested, write_recipe, write_station
+from synced import run_of
 
 import cbsr_qa as qa
 from cbsr_qa.app.certificate.compose import add_months, choose_places, number_certificate
@@ -248,6 +250,59 @@ def test_a_batch_is_certified_and_who_got_none_is_named(place):
     again = place.certify("--batch", "B7", "--to", "out", code=1)
     assert again["issued"] == []
     assert "stands" in again["refused"][0]["reason"]
+
+
+@REST
+def test_a_forged_certificate_is_refused_where_the_database_has_none_of_it(place):
+    """Somebody makes a key, a number and a page, and signs them."""
+    new_key(place.folder / "a.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    with open_store(f"sqlite:///{place.folder / 'var' / 'cbsr-qa.db'}"):
+        pass  # of another laboratory
+    path = place.folder / made["html"]
+    assert f"has no certificate {made['number']}" in verify_certificate(path).result.why
+    assert verify_certificate(path, public_key=place.folder / "a.key.pub").result.valid
+
+
+def _run_and_refuse(folder, serial, monkeypatch, capsys):
+    """Test a sensor with the files of a folder, and ask for its certificate; return why there is none."""
+    monkeypatch.setenv("CBSR_QA_VAR", str(folder / "var"))
+    monkeypatch.chdir(folder)
+    run = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--serial", serial, "--operator", "Ada")
+    run_guarded([*run, "--json"])
+    capsys.readouterr()
+    assert run_guarded(["certificate", serial, "--to", "out", "--json"]) == 2
+    assert not (folder / "out").exists()
+    return json.loads(capsys.readouterr().out)["refused"]["reason"]
+
+
+@REST
+def test_a_standard_that_was_overdue_is_named(tmp_path, monkeypatch, capsys):
+    write_recipe(tmp_path / "recipe.toml")
+    overdue = STANDARDS.replace("2099-03-31", "2026-02-28")
+    write_station(tmp_path / "station.toml", standards=overdue)
+    said = _run_and_refuse(tmp_path, "S-1", monkeypatch, capsys)
+    assert "the calibration of the load cell (certificate K-7) was due on 2026-02-28" in said
+
+
+@REST
+def test_a_sensor_that_failed_is_named(tmp_path, monkeypatch, capsys):
+    write_recipe(tmp_path / "recipe.toml", upper_N=1e-6)
+    write_station(tmp_path / "station.toml")
+    said = _run_and_refuse(tmp_path, "S-1", monkeypatch, capsys)
+    assert re.match("sensor S-1 is not certified: the verdict of run .* is fail: force error", said)
+
+
+def test_a_run_without_a_calibration_or_a_result_is_named(tmp_path, monkeypatch, capsys):
+    database = tmp_path / "runs.db"
+    fill(f"sqlite:///{database}")
+    with open_store(f"sqlite:///{database}") as store:
+        first = store.runs.find("S-1")[-1].run
+        unfinished = run_of(store, "S-2")
+    for name, said in ((first, "it issued no calibration"), (unfinished, "it was finished and has no result")):
+        assert run_guarded(["certificate", name, "--to", str(tmp_path / "out"), "--database", str(database)]) == 2
+        assert said in capsys.readouterr().err
+    assert not (tmp_path / "out").exists()
 
 
 def test_months_end_with_the_month():
