@@ -145,7 +145,8 @@ class _Check:
                 yield error.reason
                 return
             if self.record is None and (database is not None or self.public_key is None):
-                yield f"{store.shown} has no certificate {self.number or 'of this file'}{_OR_PIN if self.public_key is None else ''}"
+                unknown = f"{store.shown} has no certificate {self.number or 'of this file'}"
+                yield unknown if self.public_key else f"{unknown}{_OR_PIN}"
         if self.record is not None and self.record.withdrawal is not None:
             yield f"certificate {self.number} was {self.record.withdrawal.words}"
 
