@@ -1,14 +1,14 @@
 """Calibration files of every kind, read to be used; needs only numpy, scipy and h5py."""
 
 from collections.abc import Callable
-from datetime import UTC, date, datetime
+from datetime import date
 from functools import partial
 from pathlib import Path
 from typing import Any, Final
 
+from cbsr_qa.calibration.file.certified import check_use
 from cbsr_qa.calibration.file.entries import Issued
 from cbsr_qa.calibration.file.hdf5 import read_in_child, read_issued
-from cbsr_qa.calibration.file.signing import check_signed_file
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.runtime.estimator import Estimator
 from cbsr_qa.calibration.runtime.press_calibration import PressCalibration
@@ -52,24 +52,21 @@ def load_calibration(
         If the key cannot be used.
     """
     issued = read_issued(Path(path))
-    if certificate is None and withdrawn is None:
-        return _make_estimator(Path(path), issued, public_key)
-    from cbsr_qa.calibration.file.certified import check_certified  # loads what only certificates need
-
-    day = datetime.now(UTC).date() if today is None else today
-    check_certified(issued.digest, certificate, withdrawn, public_key=public_key, today=day)
-    return _make_estimator(Path(path), issued, None if certificate is not None else public_key)
+    check_use(Path(path), issued, public_key, certificate, withdrawn, today)
+    return _make_estimator(issued)
 
 
-def load_foreign_calibration(path: Path, public_key: Path | None = None) -> Estimator:
-    """Load a calibration file of unknown origin for use, in a child process.
+def load_foreign_calibration(
+    path: Path, public_key: Path | None = None, certificate: Path | None = None, withdrawn: Path | None = None
+) -> Estimator:
+    """Load a calibration file of unknown origin for use, in a child process; as :func:`load_calibration`.
 
     CalibrationError also if reading it crashes, hangs or takes too much memory.
     """
-    return _make_estimator(path, read_in_child(path, partial(read_issued, path)), public_key)
+    issued = read_in_child(path, partial(read_issued, path))
+    check_use(path, issued, public_key, certificate, withdrawn)
+    return _make_estimator(issued)
 
 
-def _make_estimator(path: Path, issued: Issued, public_key: str | Path | None) -> Estimator:
-    if public_key is not None:
-        check_signed_file(path, issued, public_key)
+def _make_estimator(issued: Issued) -> Estimator:
     return ESTIMATORS[type(issued)](issued)

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from cbsr_qa.cli.command import command, group
-from cbsr_qa.cli.options import AsJson, PublicKey
+from cbsr_qa.cli.options import AsJson, CertificateSignature, PublicKey, Withdrawn
 from cbsr_qa.cli.output import announce, note, say, show as show_outcome
 
 if TYPE_CHECKING:
@@ -153,6 +153,8 @@ def apply(
         Path | None, typer.Option(help="CSV file to write; must not exist yet. - writes to the terminal.")
     ] = None,
     public_key: PublicKey = None,
+    certificate: CertificateSignature = None,
+    withdrawn: Withdrawn = None,
     as_json: AsJson = False,
 ) -> int:
     """Turn the frames of recordings into force with its standard error, place and flags.
@@ -164,7 +166,7 @@ def apply(
     from cbsr_qa.calibration.loading import load_foreign_calibration
     from cbsr_qa.calibration.runtime.estimator import Ability
 
-    estimator = load_foreign_calibration(file, public_key)
+    estimator = load_foreign_calibration(file, public_key, certificate, withdrawn)
     request = ApplyRequest(place, format_, dataset, reference, serial, pattern, differences, rest)
     if pattern is None and Ability.READINGS in estimator.lacks and (differences or rest is not None):
         raise typer.BadParameter(

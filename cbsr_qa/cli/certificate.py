@@ -6,7 +6,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, group
-from cbsr_qa.cli.options import AsJson, Database, PublicKey
+from cbsr_qa.cli.options import AsJson, Database, PublicKey, Withdrawn
 from cbsr_qa.cli.output import Counting, show
 from cbsr_qa.domain.errors import RefusedError
 
@@ -88,6 +88,7 @@ def issue(
         return show(issue_certificate(serial, request, database=database), as_json=as_json)
     assert batch is not None
     with Counting("certificates") as counting:
+        counting.stage("issuing certificates")
         outcome = issue_batch(batch, request, counting.count, database=database)
     return show(outcome, as_json=as_json)
 
@@ -103,9 +104,7 @@ def verify(
     signature: Annotated[
         Path | None, typer.Option(help="Its signature file; by default NUMBER.signature.json beside it.")
     ] = None,
-    withdrawn: Annotated[
-        Path | None, typer.Option(help="List of withdrawn certificates, written by certificate withdrawn.")
-    ] = None,
+    withdrawn: Withdrawn = None,
     database: Database = None,
     as_json: AsJson = False,
 ) -> int:

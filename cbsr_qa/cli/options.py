@@ -37,6 +37,13 @@ OfParts = Annotated[
 PublicKey = Annotated[
     Path | None, typer.Option(help="Public key that must have signed the calibration; any other file is refused.")
 ]
+CertificateSignature = Annotated[
+    Path | None,
+    typer.Option(help="Signature file of the calibration's certificate; a lapsed or withdrawn one is refused."),
+]
+Withdrawn = Annotated[
+    Path | None, typer.Option(help="List of withdrawn certificates, written by certificate withdrawn.")
+]
 PageOutput = Annotated[Path | None, typer.Option("--output", help="HTML page to write.")]
 
 

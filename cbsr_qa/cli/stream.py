@@ -7,7 +7,7 @@ from typing import Annotated
 import typer
 
 from cbsr_qa.cli.command import command, document
-from cbsr_qa.cli.options import PublicKey, plugin_options
+from cbsr_qa.cli.options import CertificateSignature, PublicKey, Withdrawn, plugin_options
 from cbsr_qa.cli.output import live_output, note
 from cbsr_qa.domain.errors import StoppedError
 
@@ -69,6 +69,8 @@ def stream(
         typer.Option(metavar="SECONDS", min=0, help="How long to retry an instrument whose link is lost."),
     ] = 30.0,
     public_key: PublicKey = None,
+    certificate: CertificateSignature = None,
+    withdrawn: Withdrawn = None,
 ) -> int:
     """Send the force in every frame of an instrument to other programs, as lines of JSON or by MQTT.
 
@@ -86,7 +88,7 @@ def stream(
     plugins, places = discover(), to or ["-"]
     write = live_output() if "-" in places else None
     source = FramesFrom(driver, plugin_options(option or ()), station)
-    request = StreamRequest(calibration, source, reference, sensor_type, give_up, public_key)
+    request = StreamRequest(calibration, source, reference, sensor_type, give_up, public_key, certificate, withdrawn)
     with (
         Interrupts(lambda line: None) as interrupts,
         interrupts.listen(),

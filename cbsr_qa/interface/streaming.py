@@ -22,6 +22,8 @@ def stream(
     reference: int | None = None,
     sensor_type: str | None = None,
     public_key: str | Path | None = None,
+    certificate: str | Path | None = None,
+    withdrawn: str | Path | None = None,
 ) -> Iterator[FrameMessage]:
     """Yield the force in every frame of an instrument, as ``cbsr-qa stream`` sends it with the same options.
 
@@ -33,7 +35,7 @@ def stream(
     station : station file or name, in place of a driver.
     reference : number of first frames that are of the unloaded sheet.
     sensor_type : of a calibration from labelled presses, if it is not a shipped one.
-    public_key : PEM file with the key that must have signed the calibration.
+    public_key, certificate, withdrawn : as :func:`~cbsr_qa.calibration.loading.load_calibration`.
 
     Raises
     ------
@@ -41,8 +43,10 @@ def stream(
         If it is refused, or the instrument fails.
     """
     source = FramesFrom(driver, options, None if station is None else str(station))
-    key = None if public_key is None else Path(public_key)
-    request = StreamRequest(Path(calibration), source, reference, sensor_type, public_key=key)
+    key, seal, gone = (None if file is None else Path(file) for file in (public_key, certificate, withdrawn))
+    request = StreamRequest(
+        Path(calibration), source, reference, sensor_type, public_key=key, certificate=seal, withdrawn=gone
+    )
     with closing(stream_messages(request)) as messages:
         for message in messages:
             if isinstance(message, FrameMessage):

@@ -87,6 +87,11 @@ def _add_core(core: Element, certificate: Certificate) -> None:
         change = _add(core, "reportAmendedSubstituted")
         _add(change, "typeOfChange", "substituted")
         _add(change, "replacedUniqueIdentifier", certificate.replaced.number)
+        previous = _add(core, "previousReport")
+        _add_text(previous, "referral", "the certificate that this one replaces, as XML")
+        _add(previous, "referralID", certificate.replaced.number)
+        _add(previous, "procedure", "SHA-256")
+        _add(previous, "value", certificate.replaced.dcc_sha256)
 
 
 def _add_identifications(parent: Element, issuer: str, named: Iterable[tuple[str, str]]) -> None:

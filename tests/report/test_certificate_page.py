@@ -114,7 +114,7 @@ def test_a_page_holds_no_script_and_loads_nothing():
 
 
 def test_a_replacement_names_the_certificate_before_it_and_the_reason():
-    text = text_of(render_certificate(certificate(replaced=Replacement("SSW-1", "name <corrected>")), ""))
+    text = text_of(render_certificate(certificate(replaced=Replacement("SSW-1", "name <corrected>", 64 * "e")), ""))
     assert "This certificate replaces certificate SSW-1 , which is no longer valid. Reason: name <corrected>" in text
 
 

@@ -26,7 +26,7 @@ MADE = {
         identity=replace(certificate().identity, operator="", parts=(), simulated=("the sheet",)),
     ),
     "hostile": lambda: certificate(
-        customer=Customer(HOSTILE, HOSTILE), replaced=Replacement("SSW-1", HOSTILE), reduced=(HOSTILE,)
+        customer=Customer(HOSTILE, HOSTILE), replaced=Replacement("SSW-1", HOSTILE, 64 * "e"), reduced=(HOSTILE,)
     ),
     "one degree of freedom": lambda: certificate(
         forces=(expanded_force(dof=1.0, k=12.71), expanded_force(dof=inf, k=1.96, u_N=1e-7)),
@@ -136,9 +136,11 @@ def test_statements_begin_with_what_was_simulated_and_hold_conformity_and_validi
 
 
 def test_a_replacement_is_named():
-    root = ElementTree.fromstring(render_dcc(certificate(replaced=Replacement("SSW-1", "name corrected"))))
+    root = ElementTree.fromstring(render_dcc(certificate(replaced=Replacement("SSW-1", "name corrected", 64 * "e"))))
     change = root.find("dcc:administrativeData/dcc:coreData/dcc:reportAmendedSubstituted", NAMES)
     assert change.findtext("dcc:replacedUniqueIdentifier", "", NAMES) == "SSW-1"
+    previous = root.find("dcc:administrativeData/dcc:coreData/dcc:previousReport", NAMES)
+    assert previous.findtext("dcc:value", "", NAMES) == 64 * "e"
 
 
 def test_names_with_xml_in_them_are_text():

@@ -107,7 +107,9 @@ def largest_certificate():
         settings=settings(laboratory="W" * 60, street="S" * 60, city="C" * 40, place="P" * 80, email="e" * 60),
         customer=Customer(f"{'Company ' * 14}X", f"{'Street ' * 16}Y"),
         standards=tuple(replace(CELL, role=str(role), laboratory="L" * 80) for role in StandardRole),
-        replaced=Replacement("SSW-01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d-R1", "a reason in a sentence or two, " * 8),
+        replaced=Replacement(
+            "SSW-01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d-R1", "a reason in a sentence or two, " * 8, 64 * "e"
+        ),
         identity=replace(
             certificate().identity, simulated=simulated, instruments=4 * certificate().identity.instruments
         ),

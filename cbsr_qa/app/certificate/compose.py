@@ -1,5 +1,6 @@
 """Content of a certificate, from a stored run that issued a calibration."""
 
+import hashlib
 import json
 from calendar import monthrange
 from collections.abc import Sequence
@@ -99,9 +100,17 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         checked=check_loads(record, recipe, Calibration(issued), settings),
         reduced=issued.validity.reduced,
         valid_until=valid_until,
-        replaced=Replacement(request.replaces, request.why) if request.replaces else None,
+        replaced=_find_replaced(store, request),
     )
     return Composed(certificate, key, record.chain_head)
+
+
+def _find_replaced(store: Repository, request: CertificateRequest) -> Replacement | None:
+    """Return what the certificate replaces; None for nothing. StoreError if that is not there."""
+    if not request.replaces:
+        return None
+    replaced = store.certificates.load(request.replaces)
+    return Replacement(request.replaces, request.why, hashlib.sha256(replaced.issued.dcc).hexdigest())
 
 
 def number_certificate(prefix: str, run: str, earlier: int) -> str:

@@ -31,7 +31,11 @@ class Estimate:
 
 
 def prepare_estimator(
-    calibration: Path, sensor_type: str | None = None, public_key: Path | None = None
+    calibration: Path,
+    sensor_type: str | None = None,
+    public_key: Path | None = None,
+    certificate: Path | None = None,
+    withdrawn: Path | None = None,
 ) -> tuple[Estimator, SensorType]:
     """Make a calibration file ready for a stream, and find the sensor type of its frames.
 
@@ -39,16 +43,16 @@ def prepare_estimator(
     ----------
     sensor_type : file or name of the sensor type of a calibration that keeps only its name; by default the shipped
         one of that name.
-    public_key : file with the key that must have signed the calibration; None: not checked.
+    public_key, certificate, withdrawn : as :func:`~cbsr_qa.calibration.loading.load_calibration`.
 
     Raises
     ------
     CalibrationError
-        If the file cannot be used, or is not signed by that key.
+        If the file cannot be used, is not signed by that key, or its certificate has lapsed or was withdrawn.
     ConfigError
         If there is no such sensor type, or the key cannot be used.
     """
-    estimator = load_foreign_calibration(calibration, public_key)
+    estimator = load_foreign_calibration(calibration, public_key, certificate, withdrawn)
     if estimator.sensor_type is not None:
         if sensor_type is not None:
             raise CalibrationError(f"{calibration} holds its sensor type", remedy="leave --sensor-type out")

@@ -43,7 +43,7 @@ class StreamRequest:
     reference : number of first frames that are of the unloaded sheet; None to use the calibration's.
     sensor_type : sensor type of a calibration from presses, if its name is not that of a shipped one.
     give_up_s : longest time that an instrument that failed may take until it delivers frames again [s].
-    public_key : file with the key that must have signed the calibration; None: not checked.
+    public_key, certificate, withdrawn : as :func:`~cbsr_qa.calibration.loading.load_calibration`.
     """
 
     calibration: Path
@@ -52,6 +52,8 @@ class StreamRequest:
     sensor_type: str | None = None
     give_up_s: float = 30.0
     public_key: Path | None = None
+    certificate: Path | None = None
+    withdrawn: Path | None = None
 
 
 def stream_messages(
@@ -76,7 +78,9 @@ def stream_messages(
     CbsrError
         Before the header, if the stream is refused or the instrument does not answer.
     """
-    estimator, sensor_type = prepare_estimator(request.calibration, request.sensor_type, request.public_key)
+    estimator, sensor_type = prepare_estimator(
+        request.calibration, request.sensor_type, request.public_key, request.certificate, request.withdrawn
+    )
     plugins = plugins or discover()
     with open_source(request.frames, plugins, sensor_type, estimator.head, tell) as source:
         tell(f"waiting for a frame of {source.spec.driver}, one every {source.instrument.frame_period_s:.3g} s")

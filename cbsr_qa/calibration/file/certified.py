@@ -12,8 +12,9 @@ from datetime import UTC, date, datetime
 from pathlib import Path
 from typing import Any, Final, TypeVar
 
+from cbsr_qa.calibration.file.entries import Issued
 from cbsr_qa.calibration.file.keys import SigningKey, public_key
-from cbsr_qa.calibration.file.signing import is_signature, read_signature
+from cbsr_qa.calibration.file.signing import check_signed_file, is_signature, read_signature
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.filling import fill_from_mapping, find_odd_value
 from cbsr_qa.domain.results.signature import fingerprint
@@ -133,6 +134,35 @@ def check_sealed(path: Path, content: CertificateSeal | WithdrawnList, key: str 
         )
     if pinned and signature.public_key != pinned:
         raise CalibrationError(f"{path}: signed by {signature.words}, not by the pinned key {fingerprint(pinned)}")
+
+
+def check_use(
+    path: Path,
+    issued: Issued,
+    public_key: str | Path | None,
+    certificate: str | Path | None = None,
+    withdrawn: str | Path | None = None,
+    today: date | None = None,
+) -> None:
+    """Check that a calibration may be used: signed, or certified by a signed certificate, and not withdrawn.
+
+    Parameters
+    ----------
+    public_key : PEM file with the key that must have signed it; with a certificate, the key that must have signed
+        that one, which names the calibration by its SHA-256. None: signatures of calibrations are not looked at.
+    certificate, withdrawn : as :func:`check_certified`; None: not checked.
+    today : day on which the certificate must be valid; None for the computer's (UTC).
+
+    Raises
+    ------
+    CalibrationError, RefusedError
+        As :func:`check_certified`.
+    """
+    if public_key is not None and certificate is None:
+        check_signed_file(path, issued, public_key)
+    if certificate is not None or withdrawn is not None:
+        day = datetime.now(UTC).date() if today is None else today
+        check_certified(issued.digest, certificate, withdrawn, public_key=public_key, today=day)
 
 
 def check_certified(

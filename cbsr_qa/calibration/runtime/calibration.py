@@ -2,14 +2,15 @@
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from datetime import date
 from pathlib import Path
 from typing import TYPE_CHECKING, Final, Self
 
 import numpy as np
 from numpy.typing import ArrayLike
 
+from cbsr_qa.calibration.file.certified import check_use
 from cbsr_qa.calibration.file.hdf5 import read_calibration
-from cbsr_qa.calibration.file.signing import check_signed_file
 from cbsr_qa.calibration.force.inverse import Flag, Forces, join_forces
 from cbsr_qa.calibration.runtime.estimator import (
     AS_CALIBRATED,
@@ -64,24 +65,31 @@ class Calibration(HeadForces):
         return f"<Calibration of sensor {self.issued.sensor.serial}{force} {area}, head: {head}>"
 
     @classmethod
-    def load(cls, path: str | Path, *, public_key: str | Path | None = None) -> Self:
+    def load(
+        cls,
+        path: str | Path,
+        *,
+        public_key: str | Path | None = None,
+        certificate: str | Path | None = None,
+        withdrawn: str | Path | None = None,
+        today: date | None = None,
+    ) -> Self:
         """Read a calibration file that a run issued.
 
         Parameters
         ----------
-        public_key : PEM file with the key that must have signed it; needs ``cryptography``. None: not checked.
+        public_key, certificate, withdrawn, today : as :func:`~cbsr_qa.calibration.loading.load_calibration`.
 
         Raises
         ------
         CalibrationError
-            If it is damaged, of a later version, not issued by a run, without a force model, or not signed by that
-            key.
+            If it is damaged, of a later version, not issued by a run, without a force model, not signed by that key,
+            or its certificate is of another calibration, has lapsed, or was withdrawn.
         RefusedError
             If the key cannot be used.
         """
         issued = read_calibration(Path(path))
-        if public_key is not None:
-            check_signed_file(path, issued, public_key)
+        check_use(Path(path), issued, public_key, certificate, withdrawn, today)
         return cls(issued)
 
     @property

@@ -22,10 +22,11 @@ class Customer:
 
 @dataclass(frozen=True, slots=True)
 class Replacement:
-    """Number of the certificate that another one replaces, and the reason."""
+    """Number of the certificate that another one replaces, the reason, and the SHA-256 of its XML."""
 
     number: str
     why: str
+    dcc_sha256: str
 
 
 @dataclass(frozen=True, slots=True)

@@ -153,7 +153,14 @@ def test_a_revoked_certificate_is_named_by_database_list_and_runtime(place, caps
     with pytest.raises(CalibrationError, match="was revoked on"):
         qa.load_calibration(calibration, **options, withdrawn=place.folder / "withdrawn.json")
     with pytest.raises(CalibrationError, match="lapsed"):
-        qa.load_calibration(calibration, **options, today=date(2999, 1, 1))
+        qa.Calibration.load(calibration, **options, today=date(2999, 1, 1))
+    press = str(place.folder / "press.h5")
+    assert run_guarded(["export", "S-1", "--to", press, "--database", str(place.database)]) == 0
+    apply = ("calibration", "apply", str(calibration), press, "--certificate", str(seal))
+    assert run_guarded([*apply]) == 0
+    capsys.readouterr()
+    assert run_guarded([*apply, "--withdrawn", "withdrawn.json"]) == 2
+    assert "was revoked on" in capsys.readouterr().err
 
 
 @REST
