@@ -1,10 +1,12 @@
 """The page of a calibration certificate: two sides of A4 in one self-contained HTML file."""
 
 from collections.abc import Iterator, Sequence
+from functools import cache
 from itertools import groupby
 from math import floor, inf, isfinite, log10
 from typing import Final
 
+from jinja2 import Template
 from markupsafe import Markup
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
@@ -52,27 +54,33 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
     ----------
     fingerprint : of the key that signs the file beside it; empty if it is not signed.
     """
-    return (
-        make_environment()
-        .get_template("certificate.html.j2")
-        .render(
-            c=certificate,
-            style=Markup(read_style("certificate.css")),
-            not_stated=NOT_STATED,
-            performed_at=_PERFORMED[certificate.settings.performed_at],
-            traceability=describe_traceability(certificate),
-            fingerprint=fingerprint,
-            standards=list(_standards(certificate)),
-            dense=_count_long_texts(certificate) > _MOST_TEXT,
-            forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
-            places=list(_places(certificate.forces)),
-            settling_s=format_value(certificate.forces[0].settling_s, 3),
-            loads=[_load(load) for load in choose_loads(certificate.checked)],
-            statement=state_conformity(certificate),
-            rule=describe_rule(certificate),
-            remarks=list_remarks(certificate),
-        )
+    return _read_template().render(
+        c=certificate,
+        style=_read_style(),
+        not_stated=NOT_STATED,
+        performed_at=_PERFORMED[certificate.settings.performed_at],
+        traceability=describe_traceability(certificate),
+        fingerprint=fingerprint,
+        standards=list(_standards(certificate)),
+        dense=_count_long_texts(certificate) > _MOST_TEXT,
+        forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
+        places=list(_places(certificate.forces)),
+        settling_s=format_value(certificate.forces[0].settling_s, 3),
+        loads=[_load(load) for load in choose_loads(certificate.checked)],
+        statement=state_conformity(certificate),
+        rule=describe_rule(certificate),
+        remarks=list_remarks(certificate),
     )
+
+
+@cache  # compiling it takes a tenth of a certificate of a batch
+def _read_template() -> Template:
+    return make_environment().get_template("certificate.html.j2")
+
+
+@cache
+def _read_style() -> Markup:
+    return Markup(read_style("certificate.css"))
 
 
 def format_value(value: float, digits: int) -> str:
