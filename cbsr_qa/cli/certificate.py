@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import RefusedError
 
 group(
     "certificate",
-    "Issue, verify, list and revoke calibration certificates. `certificate SERIAL` is `certificate issue SERIAL`.",
+    "Issue, verify, list and revoke calibration certificates; a serial number alone issues one.",
     default="issue",
 )
 

@@ -242,6 +242,7 @@ _RUN_ABOVE |= {
     "use-in-a-robot.md",
     "use-the-eit-engine.md",
     "sign-calibrations.md",
+    "issue-a-certificate.md",
     "stream-forces.md",
     "calibration-file.md",
     "bring-your-own-data.md",
