@@ -21,7 +21,7 @@ TYPED = {
     "docs/how-to/central-database.md": "commands/test_synchronisation_commands.py",
     "docs/how-to/characterise-a-material.md": "commands/test_characterisation.py",
     "docs/how-to/describe-a-sensor.md": "commands/test_documentation.py",
-    "docs/how-to/issue-a-certificate.md": "commands/test_certificate_page.py",
+    "docs/how-to/issue-a-certificate.md": "commands/test_page_of_certificates.py",
     "docs/how-to/propose-limits.md": "commands/test_limits_commands.py",
     "docs/how-to/re-analyse-a-year.md": "commands/test_keeping_pages.py",
     "docs/how-to/sign-calibrations.md": "commands/test_signed_calibrations.py",
