@@ -9,7 +9,7 @@ from cbsr_qa.domain.results.measurement import explain_verdict
 from cbsr_qa.domain.results.report import Banner, Page
 from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.states import EndReason
-from cbsr_qa.report.tables import duration, plural
+from cbsr_qa.report.tables import capital, duration, list_names, plural
 from cbsr_qa.system.clock import write_local_time
 
 _SYMBOLS: Final = {
@@ -37,7 +37,7 @@ _CLOCKS = {"given": "that of the given times", "none": "no time recorded", "docu
 
 def run_page(result: RunResult) -> Page:
     """Return the head of a run's report."""
-    record, identity = result.record, result.record.identity
+    record, identity, banner = result.record, result.record.identity, _verdict(result)
     facts = (
         ("Sensor", identity.sensor.serial),
         ("Batch", identity.sensor.batch or "not stated"),
@@ -52,11 +52,11 @@ def run_page(result: RunResult) -> Page:
         ("Station time", duration(record.station_s)),
         _describe_issued(result),
         *_tries(result),
-        *list_codes(result.failure_codes),
+        *([] if banner.actions else list_codes(result.failure_codes)),
     )
     observed = result.observation.warnings if result.observation else ()
     warnings = tuple(dict.fromkeys((*_overridden(result), *result.warnings, *observed)))
-    return Page("Test report", identity.sensor.serial, _verdict(result), facts, identity.simulated, warnings)
+    return Page("Test report", identity.sensor.serial, banner, facts, identity.simulated, warnings)
 
 
 def list_codes(codes: Iterable[FailureCode]) -> list[tuple[str, str]]:
@@ -125,7 +125,21 @@ def _verdict(result: RunResult) -> Banner:
     if result.overrides:
         latest = result.overrides[-1]
         headline += f", overridden to {latest.outcome.value.upper()} by {latest.by}"
-    return Banner(tone, _SYMBOLS[outcome], headline, reason)
+    final = result.overrides[-1].outcome if result.overrides else outcome
+    let_through = final in (Outcome.PASS, Outcome.MARGINAL)
+    actions = () if let_through else tuple(code.words for code in result.failure_codes)
+    return Banner(tone, _SYMBOLS[outcome], headline, reason, actions, _describe_failed_tries(result))
+
+
+def _describe_failed_tries(result: RunResult) -> str:
+    """Say that earlier tests of the sensor with the recipe failed, and on which days; empty if none did."""
+    history = result.sensor_history
+    failed_tries = [] if history is None else [run for run in history.tries if run.final_outcome is Outcome.FAIL]
+    if history is None or not failed_tries:
+        return ""
+    days = list_names(list(dict.fromkeys(f"{run.started_at.astimezone():%Y-%m-%d}" for run in failed_tries)))
+    again = " as well" if result.verdict.outcome is Outcome.FAIL else ""
+    return f"{capital(history.ordinal)} test with this recipe; failed on {days}{again}."
 
 
 def _overridden(result: RunResult) -> tuple[str, ...]:

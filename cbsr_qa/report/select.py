@@ -128,4 +128,11 @@ def _join_load(load: LoadObservation, run: RunObservation, measured: Measured, t
         outcome=error.outcome if error else Outcome.NOT_JUDGED,
         overlap_outcome=overlap.outcome if overlap else Outcome.NOT_JUDGED,
         group=load.phase,
+        error_limits_mm=_bounds(error),
+        overlap_limits_percent=_bounds(overlap),
     )
+
+
+def _bounds(measurement: Measurement | None) -> tuple[float, ...]:
+    limit = None if measurement is None else measurement.limit
+    return () if limit is None else tuple(bound for bound in (limit.lower, limit.upper) if bound is not None)

@@ -3,7 +3,6 @@
 from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.config.serials import fits_pattern
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.run.changes import EarlierRun
 from cbsr_qa.domain.run.states import EndReason
 
 _PASSED = (Outcome.PASS, Outcome.MARGINAL)
@@ -38,7 +37,7 @@ def retest_allowed(asked: Asked) -> Finding:
         clause = f"{problem}; it may be a run of {serial}"
         return Finding(False, clause, "restore the database from a copy; cbsr-qa db check names what was altered")
     finished_tries = [attempt for attempt in tries if attempt.changed or attempt.end is EndReason.FINISHED]
-    passed = [attempt for attempt in finished_tries if _final_outcome(attempt) in _PASSED]
+    passed = [attempt for attempt in finished_tries if attempt.final_outcome in _PASSED]
     if passed:
         latest = passed[-1]
         clause = f"{serial} already passed {recipe} on {latest.day} (run {latest.run})"
@@ -46,7 +45,7 @@ def retest_allowed(asked: Asked) -> Finding:
     most_runs = asked.settings.retest_runs
     count = f"{len(finished_tries)} finished run{'' if len(finished_tries) == 1 else 's'} of {serial} with {recipe}"
     if without_result := [
-        attempt.run for attempt in finished_tries if not attempt.changed and _final_outcome(attempt) is None
+        attempt.run for attempt in finished_tries if not attempt.changed and attempt.final_outcome is None
     ]:
         count += (
             f", run {without_result[-1]} without a result yet (cbsr-qa run --resume {without_result[-1]} computes it)"
@@ -75,8 +74,3 @@ def parts_unused(asked: Asked) -> Finding:
             run, serial = others[-1]
             return Finding(False, f"{part} is of sensor {serial} too (run {run})", "scan sensor and part again")
     return Finding(True, f"{', '.join(map(str, unique_parts))} of no other sensor")
-
-
-def _final_outcome(run: EarlierRun) -> Outcome | None:
-    """Return the outcome that holds: of the latest override, if there is one."""
-    return run.outcome if run.overridden is None else run.overridden[0]

@@ -82,12 +82,15 @@ class Banner:
     ----------
     tone : ``"pass"``, ``"marginal"``, ``"fail"``, ``"not-measured"`` or ``"plain"``; chooses the colours.
     symbol, headline, reason : a sign that survives a grey printer, the answer, and the one reason for it.
+    actions, remark : what is done now, and what else counts for that; in the banner of a page, not of a terminal.
     """
 
     tone: str
     symbol: str
     headline: str
     reason: str
+    actions: tuple[str, ...] = ()
+    remark: str = ""
 
 
 @dataclass(frozen=True, slots=True)

@@ -44,6 +44,11 @@ class EarlierRun:
     chained: bool = True
 
     @property
+    def final_outcome(self) -> Outcome | None:
+        """The outcome that holds: of the latest override, if there is one."""
+        return self.outcome if self.overridden is None else self.overridden[0]
+
+    @property
     def day(self) -> str:
         """Day it began on, UTC."""
         return f"{self.started_at:%Y-%m-%d}"

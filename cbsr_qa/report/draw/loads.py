@@ -49,6 +49,8 @@ from cbsr_qa.report.draw.style import (
 )
 
 _GRID: Final = "#dcdcdc"
+#: A limit beyond this many times the largest error is not drawn: the errors would all lie on the axis.
+_MOST_EMPTY: Final = 4.0
 #: Arrows are drawn this many times longer than the error, so that a typical one is about a third of the head.
 _ARROW_SCALES: Final = (1, 2, 5, 10, 20, 50)
 
@@ -67,6 +69,7 @@ class SeenLoad:
     sensed : region of the main mask; None where nothing was seen.
     error_mm, overlap_percent : None where not measured.
     outcome, overlap_outcome : outcomes of the centre-of-mass error and of the overlap.
+    error_limits_mm, overlap_limits_percent : bounds of their limits; none without a limit.
     group : heading it stands under, e.g. the phase.
     """
 
@@ -84,6 +87,8 @@ class SeenLoad:
     outcome: Outcome
     overlap_outcome: Outcome
     group: str
+    error_limits_mm: tuple[float, ...] = ()
+    overlap_limits_percent: tuple[float, ...] = ()
 
 
 @draw_svg
@@ -142,8 +147,15 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas
     overlaps = plot(figure, (0.825, 0.115, 0.165, 0.8), "overlap A_OL [%]", grid="x")
     _draw_dots(errors, order, [(load.label, load.error_mm, load.outcome) for load in loads])
     _draw_dots(overlaps, order, [(load.label, load.overlap_percent, load.overlap_outcome) for load in loads])
-    errors.set_xlim(left=0)
-    overlaps.set(xlim=(0, 104), xticks=[0, 50, 70, 100])
+    largest_mm = max((load.error_mm for load in loads if load.error_mm is not None), default=1.0)
+    limits_mm = sorted({limit for load in loads for limit in load.error_limits_mm})
+    near_mm = [limit for limit in limits_mm if limit <= _MOST_EMPTY * largest_mm]
+    errors.set_xlim(0, 1.05 * max(largest_mm, *near_mm, 0.0) or 1.0)
+    _draw_limits(errors, limits_mm)
+    overlaps.set_xlim(0, 104)
+    limits_percent = sorted({limit for load in loads for limit in load.overlap_limits_percent})
+    overlaps.set_xticks([tick for tick in (0, 50, 100) if all(abs(tick - limit) > 12 for limit in limits_percent)])
+    _draw_limits(overlaps, limits_percent)
     overlaps.tick_params(labelleft=False)
     return figure
 
@@ -233,6 +245,18 @@ def _draw_dots(axes: Axes, order: list[str], values: list[tuple[str, float | Non
         if len(label_values) > 1:
             axes.plot([min(label_values), max(label_values)], [rank[label]] * 2, color=FAINT, linewidth=1.4, zorder=2)
     name_rows(axes, order)
+
+
+def _draw_limits(axes: Axes, limits: Sequence[float]) -> None:
+    """Draw limits as dashed lines with their values below the axis; those beyond the values are written only."""
+    largest = axes.get_xlim()[1]
+    shown = [limit for limit in limits if 0 <= limit <= largest]
+    for limit in shown:
+        axes.axvline(limit, color=INK, linewidth=0.9, linestyle=(0, (3, 2)), zorder=2)
+    axes.set_xticks(shown, [f"{limit:g}" for limit in shown], minor=True, fontweight="bold")
+    beyond = [f"{limit:g}" for limit in limits if limit > largest]
+    if beyond:
+        axes.set_xlabel(f"limit {' and '.join(beyond)}, not shown", fontsize=6.5)
 
 
 def _draw_polar(axes: Axes, loads: Sequence[SeenLoad], sensor: SensorType) -> None:

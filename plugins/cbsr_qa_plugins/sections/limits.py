@@ -175,7 +175,7 @@ def _with_strains(measurements: Sequence[Measurement]) -> frozenset[str]:
 
 def _limit_row(m: Measurement, strains: bool, versioned: bool) -> list[str | Cell]:
     assert m.limit is not None
-    sign = f"{SIGNS[m.outcome]} " if m.outcome in SIGNS else ""
+    sign = f"{SIGNS[m.outcome]}\N{NO-BREAK SPACE}" if m.outcome in SIGNS else ""
     outcome = Cell(f"{sign}{m.outcome.value}", m.outcome)
     value = Cell(value_cell(m, unit=True).text)
     name = f"{m.label} at {100 * m.strain:.3g} % strain" if strains and m.strain is not None else m.label

@@ -64,7 +64,8 @@ class Overview(ObservedSection):
         errors_mm = [load.error_mm for load in seen if load.error_mm is not None]
         yield Figure(
             "Where the loads were (dashed) and where they were seen (blue); arrows are the errors"
-            f"{f', {scale} times longer' if scale > 1 else ''}. Right: every press; a diamond is outside its limit.",
+            f"{f', {scale} times longer' if scale > 1 else ''}. Right: every press;"
+            " dashed lines are limits, a diamond is outside.",
             f"{plural(len(seen), 'load')}; error {spread_text(errors_mm, 'mm')}.",
             location_map_figure(seen, run.record.sensor_type),
         )

@@ -68,7 +68,8 @@ def _figure(loads: Sequence[LoadObservation], run: RunObservation, measured: Mea
     return Figure(
         f"{phase}Where the loads were and where they were seen (mask {100 * run.main_mask:g} %). Dashed: the"
         " indenter. Blue: outline of the sensed blob. Arrows: from the indenter's centre to the blob's centre of"
-        f" mass, {longer}. Right: every press; a diamond is outside its limit, a cross {cross}.",
+        f" mass, {longer}. Right: every press; dashed lines are limits, a diamond is"
+        f" outside, a cross {cross}.",
         _describe_errors(loads, measured),
         location_map_figure(seen, run.record.sensor_type),
     )

@@ -10,7 +10,7 @@ from stored_lots import judged, store_run
 
 from cbsr_qa.app.run.outcome import PastRuns, RunOutcome, run_outcome
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.changes import EarlierRun, SensorHistory
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.station import StationCheck
@@ -163,6 +163,24 @@ def test_last_lines_document_and_page_one_tell_the_history():
     assert (told["try"], [one["outcome"] for one in told["earlier_runs"]]) == (3, ["fail", None])
     assert dict(outcome.page.identity)["Sensor"] == words
     assert dict(run_page(result).identity)["Earlier runs"] == words
+
+
+@pytest.mark.parametrize(
+    ("outcome", "tries", "remark"),
+    [
+        (Outcome.FAIL, (FAIL, STOPPED), "Third test with this recipe; failed on 2026-11-20 as well."),
+        (Outcome.PASS, (FAIL, earlier(22, Outcome.FAIL)),
+         "Third test with this recipe; failed on 2026-11-20, 2026-11-22."),
+        (Outcome.FAIL, (earlier(20, Outcome.FAIL, overridden=(Outcome.PASS, "Ada")), *CHECKS), ""),
+        (Outcome.FAIL, (earlier(20, Outcome.FAIL, recipe="short"),), ""),
+        (Outcome.FAIL, (), ""),
+    ],
+)  # fmt: skip
+def test_the_box_of_the_verdict_says_when_the_sensor_failed_before(outcome, tries, remark):
+    result = replace(sample_run(), verdict=Verdict(outcome, "so"), missing=False)
+    history = SensorHistory(SENSOR, "nine-locations", tries)
+    assert run_page(replace(result, sensor_history=history)).banner.remark == remark
+    assert run_page(result).banner.remark == ""
 
 
 def test_a_first_run_says_nothing_of_earlier_ones():

@@ -1,6 +1,7 @@
 """Failure codes of a run's result: by the narrowest name, the worst first, in its report and its JSON."""
 
 from dataclasses import replace
+from datetime import UTC, datetime
 
 import pytest
 from report_samples import sample_run
@@ -8,9 +9,11 @@ from report_samples import sample_run
 from cbsr_qa.app.run.outcome import RunOutcome, run_outcome
 from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome, select_failure_codes
 from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
+from cbsr_qa.domain.run.changes import VerdictOverride
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.document import json_document
 from cbsr_qa.report.heads import run_page
+from cbsr_qa.report.render import render_run
 from cbsr_qa.report.terminal import terminal_lines
 from cbsr_qa_plugins.sections.limits import Limits
 
@@ -32,6 +35,11 @@ def measured(*errors_by_phase, snr=50.0):
 @pytest.fixture(scope="module")
 def result():
     return replace(sample_run(), coded=CODES)
+
+
+def override(outcome):
+    at = datetime(2026, 3, 2, tzinfo=UTC)
+    return VerdictOverride("o", "run", "a", Outcome.FAIL, outcome, "Ada", at, "the head was bent")
 
 
 def codes_of(result, measurements, **changes):
@@ -80,7 +88,7 @@ def test_an_end_has_its_rule_or_that_of_what_was_not_measured(result, end, missi
 def test_report_terminal_and_json_show_code_and_disposition(result):
     failed = measured(("nine locations", 7.0))
     judged = replace(result, measurements=failed, verdict=decide(failed))
-    assert ("Failure code", "P1 wrong place: retest") in run_page(judged).identity
+    assert run_page(judged).banner.actions == ("P1 wrong place: retest",)
     (table,) = [block for block in Limits().blocks(judged) if getattr(block, "columns", ())]
     assert table.columns[-1] == "Code"
     assert [row[-1].text for row in table.rows] == ["P1 wrong place: retest", ""]
@@ -100,3 +108,14 @@ def test_a_report_without_codes_has_no_column(result):
 
 def test_a_recipe_without_codes_gives_none():
     assert select_failure_codes((), Outcome.FAIL, "finished", [("drift", "", "")]) == ()
+
+
+def test_the_box_of_the_verdict_says_what_to_do_unless_somebody_let_the_sensor_through(result):
+    failed = measured(("nine locations", 7.0))
+    judged = replace(result, measurements=failed, verdict=decide(failed))
+    box = render_run(judged, []).partition('class="banner fail"')[2].partition("</div>")[0]
+    assert "P1 wrong place: retest" in box
+    changed = replace(judged, overrides=(override(Outcome.PASS),))
+    assert run_page(changed).banner.actions == ()
+    assert ("Failure code", "P1 wrong place: retest") in run_page(changed).identity
+    assert run_page(replace(judged, overrides=(override(Outcome.FAIL),))).banner.actions
