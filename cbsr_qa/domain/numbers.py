@@ -111,7 +111,13 @@ def with_type(found: object) -> str:
 
 
 def did_you_mean(name: str, known: Collection[str]) -> str:
-    """Suggest the nearest known name; empty if none is near.
+    """Suggest the nearest known name; empty if none is near."""
+    found = find_nearest(name, known)
+    return f"did you mean {found!r}?" if found else ""
+
+
+def find_nearest(name: str, known: Collection[str]) -> str:
+    """Return the nearest known name; empty if none is near.
 
     Numbers in names count as numbers: S-5 is near S-05, and S-31 nearer to S-30 than to S-13.
     """
@@ -121,8 +127,8 @@ def did_you_mean(name: str, known: Collection[str]) -> str:
     close = same or get_close_matches(name, known, n=len(known) or 1)
     alike = [other for other in close if other in numbers_of_alike]
     if alike:
-        return f"did you mean {min(alike, key=lambda other: _distance(numbers_of_alike[other], numbers))!r}?"
-    return f"did you mean {close[0]!r}?" if close else ""
+        return min(alike, key=lambda other: _distance(numbers_of_alike[other], numbers))
+    return close[0] if close else ""
 
 
 def _split_numbers(name: str) -> tuple[str, tuple[int, ...]]:

@@ -22,7 +22,7 @@ from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right, client
 from cbsr_qa.web.guesses import TooManyGuessesError
 from cbsr_qa.web.line import MAX_READ_ONLY_VIEWERS, MAX_VIEWERS, Line, Viewer
 from cbsr_qa.web.pages import Pages, Part, picture_address
-from cbsr_qa.web.shift import sensor_page, shift_page
+from cbsr_qa.web.shift import search_page, sensor_page, shift_page
 from cbsr_qa.web.streams import EventStream
 from cbsr_qa.web.texts import refusal_words, text
 
@@ -68,6 +68,7 @@ def make_application(line: Line, access: Access) -> Guard:
         ("/runs/{run}/calibration", site.calibration),
         ("/shift", site.shift),
         ("/sensors/{serial}", site.sensor),
+        ("/search", site.search),
     ]
     routes = [
         *(Route(path, site.guard_page(endpoint)) for path, endpoint in viewer_pages),
@@ -159,14 +160,20 @@ class Site:
         return await self._run_in_thread(request, calibration_response, self._line.database, _run(request))
 
     async def shift(self, request: Request) -> Response:
-        names = tuple(self._line.stations)
-        view = await self._run_in_thread(request, shift_page, self._line.database, names)
+        names, in_progress = tuple(self._line.stations), self._line.runs_in_progress()
+        view = await self._run_in_thread(request, shift_page, self._line.database, names, in_progress)
         page = self._pages.page("shift", control=_controls(request), here="shift", **view)
         return HTMLResponse(page, headers={"content-security-policy": DRAWINGS_POLICY})
 
     async def sensor(self, request: Request) -> Response:
         view = await self._run_in_thread(request, sensor_page, self._line.database, request.path_params["serial"])
         return HTMLResponse(self._pages.page("sensor", control=_controls(request), **view))
+
+    async def search(self, request: Request) -> Response:
+        wanted = request.query_params.get("q", "").strip()
+        view = await self._run_in_thread(request, search_page, self._line.database, wanted)
+        status = HTTPStatus.BAD_REQUEST if view["refused"] else HTTPStatus.OK
+        return HTMLResponse(self._pages.page("search", control=_controls(request), **view), status)
 
     async def _run_in_thread(self, request: Request, make: Callable[..., T], *arguments: object) -> T:
         """Call a slow function in a thread, and return its result.

@@ -18,12 +18,12 @@ from cbsr_qa.web.outcomes import (
     SIGNS,
     ago_words,
     cue,
-    describe_decision,
     earlier_words,
     kind_of_result,
     reason_words,
     verdict_kind,
 )
+from cbsr_qa.web.shift import describe_run
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode, Snapshot
 from cbsr_qa.web.texts import text
@@ -197,7 +197,7 @@ def _environment() -> Environment:
         "shown_limits": SHOWN_LIMITS,
         "kind_of_result": kind_of_result,
         "reason_words": reason_words,
-        "describe_decision": describe_decision,
+        "describe_run": describe_run,
         "minutes_left": minutes_left,
         "step_words": step_words,
         "progress_words": progress_words,

@@ -1,6 +1,7 @@
-"""Content of the views of a shift and of a sensor."""
+"""Content of the views of a shift, of a sensor, and of a search for sensors."""
 
 from base64 import b64encode
+from collections import Counter
 from collections.abc import Iterator
 from dataclasses import dataclass
 from typing import TYPE_CHECKING, Any, Final
@@ -9,13 +10,19 @@ from starlette.exceptions import HTTPException
 
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_serial
-from cbsr_qa.domain.errors import CbsrError
-from cbsr_qa.domain.results.fleet import RunSelection
+from cbsr_qa.domain.errors import CbsrError, ConfigError
+from cbsr_qa.domain.plan.limits import name_limit
+from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
+from cbsr_qa.domain.results.listed import ListedRun
+from cbsr_qa.domain.results.measurement import metric_words
 from cbsr_qa.domain.results.report import Banner, Figure, Section
+from cbsr_qa.domain.run.states import EndReason, who_stopped
 from cbsr_qa.store.opening import open_store
-from cbsr_qa.web.texts import text
+from cbsr_qa.web.outcomes import describe_decision
+from cbsr_qa.web.texts import refusal_words, text
 
 if TYPE_CHECKING:
+    from cbsr_qa.app.shift.sensors import Handover
     from cbsr_qa.studies.charts.charting import MetricChart
 
 #: Most charts drawn of a station, recipe and golden sensor; those that signal come first.
@@ -53,14 +60,16 @@ class StationChartsView:
     left: int
 
 
-def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any]:
-    """Return the content of the shift view: today's runs of the served stations."""
-    from cbsr_qa.app.shift.summary import local_day, shift_summary  # imports all of statistics
+def shift_page(
+    database: str | None, stations: tuple[str, ...], in_progress: frozenset[str] = frozenset()
+) -> dict[str, Any]:
+    """Return the content of the shift view: today's sensors and runs of the served stations."""
+    from cbsr_qa.app.shift.sensors import sort_for_handover
+    from cbsr_qa.app.shift.summary import local_day, summarise_runs  # imports all of statistics
 
     since, until = local_day()
     selection = RunSelection(stations=stations, from_moment=since, before_moment=until, checks=False)
     with open_store(database_url(database)) as store:
-        summary = shift_summary(store, selection)
         runs = store.lists.read_runs(selection)
         references = {name: store.charts.read_current(name) for name in stations}
     groups = dict.fromkeys(
@@ -68,8 +77,49 @@ def shift_page(database: str | None, stations: tuple[str, ...]) -> dict[str, Any
         for name, station_references in references.items()
         for reference in station_references
     )
-    charts = tuple(_charts(database, *group) for group in groups)
-    return {"day": since, "summary": summary, "runs": tuple(reversed(runs)), "charts": charts}
+    handover = sort_for_handover(runs, in_progress)
+    return {
+        "day": since,
+        "summary": summarise_runs(runs),
+        "handover": handover,
+        "sentence": _describe_handover(handover),
+        "limit_words": {key.label: _describe_limit(key) for run in runs for key in run.failed},
+        "running_at": Counter(run.station for run in runs if run.run in in_progress),
+        "runs": tuple(reversed(runs)),
+        "charts": tuple(_charts(database, *group) for group in groups),
+    }
+
+
+def _describe_handover(handover: "Handover") -> str:
+    """Say what became of the sensors of a shift, to be read aloud."""
+    from cbsr_qa.app.shift.sensors import count_sensors
+
+    counts = {
+        "handover.passed": handover.passed,
+        "handover.failed": count_sensors(handover.failed),
+        "handover.undecided": count_sensors(handover.undecided),
+    }
+    tested = handover.tested
+    words = text("handover.none")
+    if tested:
+        ends = ", ".join(text(end, count=count) for end, count in counts.items() if count)
+        words = text("handover.one" if tested == 1 else "handover.tested", count=tested, ends=ends)
+    if running := count_sensors(handover.running):
+        words += text("handover.one_runs" if running == 1 else "handover.run", count=running)
+    return f"{words}."
+
+
+def _describe_limit(key: MetricKey) -> str:
+    """Name a limit with its phase, which alone in brackets looks like a recipe."""
+    name = name_limit(metric_words(key.name), key.qualifier, key.location)
+    return text("shift.in_phase", limit=name, phase=key.phase) if key.phase else name
+
+
+def describe_run(run: ListedRun) -> str:
+    """Return the reason of a run's verdict, or who stopped it; without the step, which is in its report."""
+    if run.end is EndReason.ABORTED and run.end_detail and not run.altered:
+        return text("station.stopped_by", who=who_stopped(run.end_detail))
+    return describe_decision(run)
 
 
 def _charts(database: str | None, station: str, recipe: str, golden: str) -> StationChartsView:
@@ -114,3 +164,17 @@ def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
     if not runs:
         raise HTTPException(404, text("problem.no_sensor", serial=serial))
     return {"serial": serial, "runs": tuple(reversed(runs))}
+
+
+def search_page(database: str | None, wanted: str) -> dict[str, Any]:
+    """Return the content of the page of a search: sensors, or why a text can be neither serial number nor part."""
+    from cbsr_qa.app.shift.sensors import search_sensors
+
+    view: dict[str, Any] = {"wanted": wanted, "found": None, "refused": ""}
+    if not wanted:
+        return view
+    try:
+        with open_store(database_url(database)) as store:
+            return view | {"found": search_sensors(store, wanted)}
+    except ConfigError as error:
+        return view | {"refused": refusal_words(error)}

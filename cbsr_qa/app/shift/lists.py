@@ -232,13 +232,7 @@ def list_runs(store: Repository, request: ListRequest) -> RunList:
 def list_sensors(store: Repository, request: ListRequest) -> SensorList:
     """List sensors, each with the verdict of its last decided run among the selected ones. Raises as list_runs."""
     runs = _select_runs(store, replace(request, latest=None))
-    runs_by_sensor: dict[tuple[str, str], list[ListedRun]] = {}
-    for run in runs:
-        runs_by_sensor.setdefault((run.serial, run.recipe), []).append(run)
-    groups = list(runs_by_sensor.values())
-    for own in runs_by_sensor.values():  # an altered run that no row shows may be of another sensor, and gets a row
-        groups += [[run] for run in own if run.altered and run not in select_settled_runs(own)[-1:]]
-    groups.sort(key=lambda own: own[-1].run)
+    groups = group_by_sensor(runs)
     if request.failed or request.limit:
         groups = [
             own for own in groups if any(_has_failed(run, request.limit) for run in select_settled_runs(own)[-1:])
@@ -247,6 +241,20 @@ def list_sensors(store: Repository, request: ListRequest) -> SensorList:
     kept_runs = sorted({run.run: run for own in groups for run in own}.values(), key=lambda run: run.run)
     notes = (*_notes(request, runs, groups), *trust_notes(store, trust_counts(kept_runs)))
     return SensorList(summarise_runs(kept_runs), tuple(map(_state, groups)), notes)
+
+
+def group_by_sensor(runs: Sequence[ListedRun]) -> list[list[ListedRun]]:
+    """Return the runs of each sensor and recipe, the sensor tested last at the end.
+
+    An altered run that does not decide may be of another sensor, and gets a group of its own.
+    """
+    runs_by_sensor: dict[tuple[str, str], list[ListedRun]] = {}
+    for run in runs:
+        runs_by_sensor.setdefault((run.serial, run.recipe), []).append(run)
+    groups = list(runs_by_sensor.values())
+    for own in runs_by_sensor.values():
+        groups += [[run] for run in own if run.altered and run not in select_settled_runs(own)[-1:]]
+    return sorted(groups, key=lambda own: own[-1].run)
 
 
 def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:

@@ -22,6 +22,11 @@ def was_emergency(detail: str) -> bool:
     return EMERGENCY.format("") in detail or SECOND_SIGNAL in detail
 
 
+def who_stopped(detail: str) -> str:
+    """Return who aborted a run, from the detail of its end; the rest of it is the step."""
+    return detail.removeprefix("by ").partition(", ")[0].removesuffix(" (remote)")
+
+
 class ResultState(StrEnum):
     """State of a run: of its last session, and of the analysis after it."""
 

@@ -1,12 +1,12 @@
 """Outcomes of runs, without their frames: the latest of one run, the earlier runs of a sensor, their seeds."""
 
 import json
-from collections.abc import Iterator
+from collections.abc import Collection, Iterator, Sequence
 from contextlib import contextmanager
 from datetime import UTC, datetime
 from typing import Final
 
-from sqlalchemy import Connection, Engine, select
+from sqlalchemy import CTE, Connection, Engine, func, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
@@ -46,6 +46,16 @@ class SensorRuns:
         with reading(self._engine) as connection:
             return find_altered_outside(connection, [RunRow.serial != serial], (), latest=_RECENT)
 
+    def find_altered_lately(self, known: Collection[str]) -> dict[str, str]:
+        """Return what is wrong with the rows of those of the latest 500 runs that were altered, by run.
+
+        Parameters
+        ----------
+        known : runs to skip.
+        """
+        with reading(self._engine) as connection:
+            return find_altered_outside(connection, [], known, latest=_RECENT)
+
     def list_seeds(self, serial: str) -> tuple[int | None, ...]:
         """Return the seeds of all runs of a sensor, oldest first; None where a configuration has none."""
         query = select(RunRow.configuration).where(RunRow.serial == serial).order_by(RunRow.run)
@@ -82,6 +92,43 @@ class SensorRuns:
         query = query.where(PartRow.name == part.name, PartRow.identifier == part.identifier).order_by(RunRow.run)
         with reading(self._engine) as connection:
             return [(run, serial) for run, serial in connection.execute(query)]
+
+    def find_sensors_of_part(self, part: SensorPart) -> list[str]:
+        """Return the serial numbers of all sensors that a part was in, the one tested last first.
+
+        Parameters
+        ----------
+        part : an empty name stands for any, an empty revision too.
+        """
+        latest = func.max(RunRow.run)
+        query = select(RunRow.serial).join(PartRow, PartRow.run == RunRow.run).group_by(RunRow.serial)
+        names = select(_part_names().c.name)  # a search by name and identifier has an index
+        query = query.where(PartRow.name == part.name if part.name else PartRow.name.in_(names))
+        query = query.where(PartRow.identifier == part.identifier)
+        query = query.where(PartRow.revision == part.revision) if part.revision else query
+        with reading(self._engine) as connection:
+            return list(connection.scalars(query.order_by(latest.desc())))
+
+    def find_runs(self, serials: Sequence[str]) -> list[str]:
+        """Return all runs of some sensors, in the order they were made in."""
+        query = select(RunRow.run).where(RunRow.serial.in_(serials)).order_by(RunRow.run)
+        with reading(self._engine) as connection:
+            return list(connection.scalars(query))
+
+    def read_latest_names(self, runs: int) -> tuple[set[str], set[SensorPart]]:
+        """Return serial numbers and parts of the latest runs."""
+        latest = select(RunRow.run).order_by(RunRow.run.desc()).limit(runs)
+        of_parts = select(PartRow.name, PartRow.identifier, PartRow.revision).where(PartRow.run.in_(latest))
+        with reading(self._engine) as connection:
+            serials = set(connection.scalars(select(RunRow.serial).where(RunRow.run.in_(latest))))
+            return serials, {SensorPart(*cells) for cells in connection.execute(of_parts)}
+
+
+def _part_names() -> CTE:
+    """Query the names of parts, each by one step in their index: there are few, and rows by the hundred thousand."""
+    names = select(func.min(PartRow.name).label("name")).cte("names", recursive=True)
+    following = select(func.min(PartRow.name)).where(PartRow.name > names.c.name).scalar_subquery()
+    return names.union_all(select(following).select_from(names).where(names.c.name.is_not(None)))
 
 
 def latest_result(url: str, run: str) -> tuple[ResultState, Outcome | None]:

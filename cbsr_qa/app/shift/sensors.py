@@ -1,0 +1,174 @@
+"""Where sensors stand by their last decided run: sorted for whoever takes over, found by serial number or part."""
+
+from collections.abc import Collection, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, replace
+from typing import Final
+
+from cbsr_qa.app.shift.lists import group_by_sensor
+from cbsr_qa.app.shift.summary import select_settled_runs
+from cbsr_qa.config.serials import read_parts, validate_serial
+from cbsr_qa.domain.errors import ConfigError
+from cbsr_qa.domain.numbers import find_nearest
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.listed import ListedRun
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.words import echo
+
+#: Most sensors that a search lists, those tested last.
+MOST_FOUND: Final = 200
+#: Latest runs of which a name is suggested in place of an unknown one.
+_RUNS_WITH_NAMES: Final = 2000
+_REMEDY: Final = "give a serial number, or a part as sheet=LOT7/B, sheet=LOT7 or LOT7"
+
+
+@dataclass(frozen=True, slots=True)
+class SensorState:
+    """Where a sensor stands with a recipe.
+
+    Parameters
+    ----------
+    last : its latest run.
+    settled : the latest that passed, failed or was altered; None if none did.
+    """
+
+    last: ListedRun
+    settled: ListedRun | None
+
+    @property
+    def shown(self) -> ListedRun:
+        """The run that says where it stands."""
+        return self.settled or self.last
+
+    @property
+    def failed(self) -> bool:
+        return self.settled is not None and self.settled.verdict is Outcome.FAIL
+
+    @property
+    def passed(self) -> bool:
+        return self.settled is not None and self.settled.passed
+
+
+@dataclass(frozen=True, slots=True)
+class Handover:
+    """Sensors of a shift, each counted once: as running, else failed, else undecided, else passed.
+
+    Parameters
+    ----------
+    failed, undecided, running : states of those sensors, the last tested first; of a sensor that was tested with
+        several recipes those that decide where it is counted.
+    passed : number of sensors.
+    """
+
+    passed: int
+    failed: tuple[SensorState, ...]
+    undecided: tuple[SensorState, ...]
+    running: tuple[SensorState, ...]
+
+    @property
+    def tested(self) -> int:
+        """Number of sensors whose test is over: passed + failed + undecided."""
+        return self.passed + count_sensors(self.failed) + count_sensors(self.undecided)
+
+
+@dataclass(frozen=True, slots=True)
+class FoundSensors:
+    """Sensors that a search found.
+
+    Parameters
+    ----------
+    sensors : states of each sensor, those tested last first.
+    count : number of sensors found; more than are listed if there are many.
+    altered : number of further runs that were altered, of the latest 500: one may belong here.
+    nearest : name to search for instead, where nothing was found; may be empty.
+    """
+
+    sensors: tuple[tuple[SensorState, ...], ...]
+    count: int
+    altered: int
+    nearest: str
+
+
+def count_sensors(states: Collection[SensorState]) -> int:
+    """Return the number of serial numbers."""
+    return len({state.last.serial for state in states})
+
+
+def list_states(runs: Sequence[ListedRun]) -> tuple[SensorState, ...]:
+    """Return the states of the sensors of some runs, the last tested first; an altered run has one of its own."""
+    return tuple(
+        SensorState(own[-1], next(iter(select_settled_runs(own)[-1:]), None)) for own in group_by_sensor(runs)[::-1]
+    )
+
+
+def sort_for_handover(runs: Sequence[ListedRun], in_progress: Collection[str]) -> Handover:
+    """Sort the sensors of a shift.
+
+    Parameters
+    ----------
+    runs : in the order they were made in.
+    in_progress : runs in progress; others that did not end were cut off.
+    """
+    states = list_states([run for run in runs if run.altered or not run.of_check])
+    running = tuple(state for state in states if state.last.run in in_progress)
+    over = _leave_out(states, running)
+    failed = tuple(state for state in over if state.failed)
+    not_failed = _leave_out(over, failed)
+    undecided = tuple(state for state in not_failed if not state.passed)
+    return Handover(count_sensors(_leave_out(not_failed, undecided)), failed, undecided, running)
+
+
+def _leave_out(states: Sequence[SensorState], others: Sequence[SensorState]) -> list[SensorState]:
+    """Return the states of sensors that are not among others."""
+    serials = {state.last.serial for state in others}
+    return [state for state in states if state.last.serial not in serials]
+
+
+def search_sensors(store: Repository, wanted: str) -> FoundSensors:
+    """Find sensors by serial number or part, among any number of stored runs.
+
+    Parameters
+    ----------
+    wanted : a serial number; or a part, whose name and revision may be left out: ``sheet=LOT7/B``, ``LOT7``.
+
+    Raises
+    ------
+    ConfigError
+        If it can be neither.
+    StoreError
+        If the database cannot be read.
+    """
+    serial, part = _read_wanted(wanted)
+    of_serial = [serial] if serial and store.sensors.find_runs([serial]) else []
+    of_part = [] if part is None else store.sensors.find_sensors_of_part(part)
+    serials = list(dict.fromkeys((*of_serial, *of_part)))
+    runs = store.lists.read_named(store.sensors.find_runs(serials[:MOST_FOUND]))
+    states_by_serial: dict[str, list[SensorState]] = {}
+    for state in list_states(runs):
+        states_by_serial.setdefault(state.last.serial, []).append(state)
+    altered = store.sensors.find_altered_lately({run.run for run in runs})
+    sensors = tuple(tuple(states) for states in states_by_serial.values())
+    return FoundSensors(sensors, len(serials), len(altered), "" if serials else _nearest(store, wanted))
+
+
+def _read_wanted(wanted: str) -> tuple[str, SensorPart | None]:
+    """Return the serial number and the part that a text may mean; a part without a name stands for any."""
+    if "=" in wanted:
+        return "", read_parts([wanted])[0]
+    try:
+        (part,) = read_parts([f"any={wanted}"])
+    except ConfigError:
+        raise ConfigError(f"{echo(wanted, 64)} is no serial number and no part", remedy=_REMEDY) from None
+    serial = ""
+    with suppress(ConfigError):  # the identifier of a part may hold more
+        serial = validate_serial(wanted)
+    return serial, replace(part, name="")
+
+
+def _nearest(store: Repository, wanted: str) -> str:
+    serials, parts = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
+    if "=" in wanted:
+        without_revision = {f"{part.name}={part.identifier}" for part in parts}
+        return find_nearest(wanted, {*map(str, parts), *without_revision})
+    return find_nearest(wanted, serials | {part.identifier for part in parts})
