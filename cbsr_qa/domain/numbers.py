@@ -128,6 +128,8 @@ def find_nearest(name: str, known: Collection[str]) -> str:
     alike = [other for other in close if other in numbers_of_alike]
     if alike:
         return min(alike, key=lambda other: _distance(numbers_of_alike[other], numbers))
+    by_folded = {other.casefold(): other for other in known}
+    close = close or [by_folded[other] for other in get_close_matches(name.casefold(), by_folded, n=1)]
     return close[0] if close else ""
 
 

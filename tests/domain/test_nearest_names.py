@@ -17,6 +17,7 @@ SERIALS = [f"S-{number:02d}" for number in range(1, 31)]
         ("batch-2/12", ["batch-2/11", "batch-1/12", "batch-22/1"], "batch-2/11"),
         ("drit", ["noise_floor", "drift"], "drift"),
         ("Drift", ["drifts", "drift"], "drift"),
+        ("lot9", ["LOT12", "BOARD-9"], "LOT12"),
         ("lognormal", ["normal", "log-normal"], "log-normal"),
         ("S-" + 5000 * "1", ["S-1", "S-" + 4999 * "1"], "S-" + 4999 * "1"),
     ],

@@ -372,7 +372,7 @@ def test_an_instrument_that_dies_is_named_with_what_to_do(pages):
     expect(shift.locator("tbody").last).to_contain_text("DIE-1")
     shift.shot("shift")
     _accessible(shift)
-    shift.get_by_role("link", name="DIE-1").click()
+    shift.get_by_role("link", name="DIE-1").first.click()
     expect(shift.locator("h1")).to_contain_text("DIE-1")
     shift.shot("sensor")
     _accessible(shift)
