@@ -152,10 +152,8 @@ def location_map_figure(loads: Sequence[SeenLoad], sensor: SensorType) -> Canvas
     near_mm = [limit for limit in limits_mm if limit <= _MOST_EMPTY * largest_mm]
     errors.set_xlim(0, 1.05 * max(largest_mm, *near_mm, 0.0) or 1.0)
     _draw_limits(errors, limits_mm)
-    overlaps.set_xlim(0, 104)
-    limits_percent = sorted({limit for load in loads for limit in load.overlap_limits_percent})
-    overlaps.set_xticks([tick for tick in (0, 50, 100) if all(abs(tick - limit) > 12 for limit in limits_percent)])
-    _draw_limits(overlaps, limits_percent)
+    overlaps.set(xlim=(0, 104), xticks=[0, 50, 100])
+    _draw_limits(overlaps, sorted({limit for load in loads for limit in load.overlap_limits_percent}))
     overlaps.tick_params(labelleft=False)
     return figure
 
@@ -251,6 +249,8 @@ def _draw_limits(axes: Axes, limits: Sequence[float]) -> None:
     """Draw limits as dashed lines with their values below the axis; those beyond the values are written only."""
     largest = axes.get_xlim()[1]
     shown = [limit for limit in limits if 0 <= limit <= largest]
+    free = [x for x in axes.get_xticks() if 0 <= x <= largest and all(abs(x - y) > 0.12 * largest for y in shown)]
+    axes.set_xticks(free)
     for limit in shown:
         axes.axvline(limit, color=INK, linewidth=0.9, linestyle=(0, (3, 2)), zorder=2)
     axes.set_xticks(shown, [f"{limit:g}" for limit in shown], minor=True, fontweight="bold")
