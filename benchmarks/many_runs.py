@@ -23,6 +23,7 @@ from benchmarks.fleet_comparison import fill, timed
 from cbsr_qa.app.gate.gate import ask_gate
 from cbsr_qa.app.gate.request import GateRequest
 from cbsr_qa.app.shift.lists import list_request, list_runs, list_sensors, sensor_runs
+from cbsr_qa.app.shift.sensors import search_sensors
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.config.serials import validate_serial
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
@@ -138,6 +139,7 @@ class Line:
                 list_sensors, latest=50, since=day.date(), until=day.date()
             ),
             "list the runs of a sensor": lambda: self._read(lambda store: sensor_runs(store, "S-00001")),
+            "search for a sensor": lambda: self._read(lambda store: search_sensors(store, "S-00001")),
             "open a run": lambda: self._read(
                 lambda store: (store.runs.read_identity(latest), store.analyses.load(latest))
             ),

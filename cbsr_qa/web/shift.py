@@ -161,9 +161,10 @@ def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
     validate_serial(serial)
     with open_store(database_url(database)) as store:
         runs = sensor_runs(store, serial)
+        altered = store.sensors.find_altered_lately({run.run for run in runs})
     if not runs:
         raise HTTPException(404, text("problem.no_sensor", serial=serial))
-    return {"serial": serial, "runs": tuple(reversed(runs))}
+    return {"serial": serial, "runs": tuple(reversed(runs)), "altered": len(altered)}
 
 
 def search_page(database: str | None, wanted: str) -> dict[str, Any]:

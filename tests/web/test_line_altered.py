@@ -42,3 +42,15 @@ def test_the_look_at_it_has_no_result_and_nothing_is_worked_out(forged):
     assert (look.verdict, look.outcome, look.end) == (None, None, EndReason.FINISHED)
     assert "was changed" in look.altered
     assert mode_of(None, look, held=True, starting=False) is Mode.HELD
+
+
+def test_a_run_whose_serial_number_was_changed_is_missed_on_its_sensors_page(tmp_path):
+    url, names = five_runs()
+    shutil.copy(url.removeprefix("sqlite:///"), tmp_path / "runs.db")
+    for count in (0, 1):
+        if count:
+            change(tmp_path / "runs.db", "update runs set serial = 'S-2' where run = ?", names["aborted"])
+        view = sensor_page(f"sqlite:///{tmp_path / 'runs.db'}", "S-1")
+        page = Pages(Line((), url)).page("sensor", control=True, here="shift", **view)
+        assert view["altered"] == count
+        assert ("1 of the latest 500" in page) == bool(count)

@@ -258,8 +258,11 @@ def group_by_sensor(runs: Sequence[ListedRun]) -> list[list[ListedRun]]:
 
 
 def sensor_runs(store: Repository, serial: str) -> tuple[ListedRun, ...]:
-    """Return all runs of one sensor in the order they were made in, checks of a station included; none if unknown."""
-    return store.lists.read_runs(RunSelection(serials=(serial,)))
+    """Return all runs of one sensor in the order they were made in, checks of a station included; none if unknown.
+
+    Runs of other serial numbers are not looked at: to check 100 000 takes ten seconds.
+    """
+    return store.lists.read_named(store.sensors.find_runs([serial]))
 
 
 def run_pages(store: Repository, request: ListRequest, size: int) -> Iterator[RunPage]:
