@@ -60,7 +60,8 @@ class Decision(RunSection):
             yield Paragraph(_count_outcomes(judged))
             closest = judged[:_CLOSEST_ON_PAGE_ONE]
             caption = "Limits not met, or barely; the worst comes first." if unmet else "Closest to failing."
-            yield _limit_table(result, caption, unmet[:_MOST_ON_PAGE_ONE] or closest, _with_strains(judged))
+            shown, strains = unmet[:_MOST_ON_PAGE_ONE] or closest, _with_strains(judged)
+            yield _limit_table(result, caption, shown, strains, code_words=False)  # they are in the head
         if len(unmet) > _MOST_ON_PAGE_ONE:
             yield Paragraph(f"{plural(len(unmet) - _MOST_ON_PAGE_ONE, 'more limit')}: see annex Limits.", "note")
         yield from map(Paragraph, _describe_errors(result))
@@ -154,11 +155,18 @@ def _limit_tables(result: RunResult, judged: Sequence[Measurement]) -> list[Tabl
     return [_limit_table(result, caption, order[:first], strains), replace(rest, folded=True)]
 
 
-def _limit_table(result: RunResult, caption: str, judged: Sequence[Measurement], strains: frozenset[str]) -> Table:
+def _limit_table(
+    result: RunResult,
+    caption: str,
+    judged: Sequence[Measurement],
+    strains: frozenset[str],
+    *,
+    code_words: bool = True,
+) -> Table:
     versioned = any(m.limit and m.limit.version for m in judged)
     columns = ("Measurement", "Phase", "Value", "Limit", "Margin", "Outcome", *(("Version",) if versioned else ()))
     rows = [_limit_row(m, m.phase in strains, versioned) for m in judged]
-    codes = ["; ".join(code.words for code in result.codes_of(m)) for m in judged]
+    codes = ["; ".join(code.words if code_words else code.code for code in result.codes_of(m)) for m in judged]
     if any(codes):
         columns, rows = (*columns, "Code"), [[*row, code] for row, code in zip(rows, codes, strict=True)]
     return text_table(caption, columns, rows, (2, 3, 4))

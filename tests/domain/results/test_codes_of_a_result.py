@@ -15,7 +15,7 @@ from cbsr_qa.report.document import json_document
 from cbsr_qa.report.heads import run_page
 from cbsr_qa.report.render import render_run
 from cbsr_qa.report.terminal import terminal_lines
-from cbsr_qa_plugins.sections.limits import Limits
+from cbsr_qa_plugins.sections.limits import Decision, Limits
 
 CODES = (
     FailureCode("E1", "loose electrode", "rework: check pin", ("channel_snr",)),
@@ -92,6 +92,8 @@ def test_report_terminal_and_json_show_code_and_disposition(result):
     (table,) = [block for block in Limits().blocks(judged) if getattr(block, "columns", ())]
     assert table.columns[-1] == "Code"
     assert [row[-1].text for row in table.rows] == ["P1 wrong place: retest", ""]
+    (on_page_one,) = [block for block in Decision().blocks(judged) if getattr(block, "columns", ())]
+    assert on_page_one.rows[0][-1].text == "P1"
     told = run_outcome(RunOutcome.from_result(judged))
     assert any("P1 wrong place: retest" in line for line in terminal_lines(told.page, told.sections))
     assert json_document(told.result)["failure_codes"] == [
