@@ -141,8 +141,7 @@ def search_sensors(store: Repository, wanted: str) -> FoundSensors:
     """
     serial, part = _read_wanted(wanted)
     of_serial = [serial] if serial and store.sensors.find_runs([serial]) else []
-    of_part = [] if part is None else store.sensors.find_sensors_of_part(part)
-    serials = list(dict.fromkeys((*of_serial, *of_part)))
+    serials = list(dict.fromkeys((*of_serial, *store.sensors.find_sensors_of_part(part))))
     runs = store.lists.read_named(store.sensors.find_runs(serials[:MOST_FOUND]))
     states_by_serial: dict[str, list[SensorState]] = {}
     for state in list_states(runs):
@@ -152,7 +151,7 @@ def search_sensors(store: Repository, wanted: str) -> FoundSensors:
     return FoundSensors(sensors, len(serials), len(altered), "" if serials else _nearest(store, wanted))
 
 
-def _read_wanted(wanted: str) -> tuple[str, SensorPart | None]:
+def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
     """Return the serial number and the part that a text may mean; a part without a name stands for any."""
     if "=" in wanted:
         return "", read_parts([wanted])[0]
