@@ -111,9 +111,14 @@ def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:
 
 def state_conformity(certificate: Certificate) -> str:
     """Return the statement of conformity in words (ISO/IEC 17025:2017, 7.8.6.2), or why there is none."""
-    loads, settings = certificate.checked, certificate.settings
-    if not settings.judges:
+    loads = certificate.checked
+    if not certificate.settings.judges:
         return "No statement of conformity is made: no maximum permissible error was stated."
+    if not certificate.is_judged:
+        return (
+            "No statement of conformity is made: the certificate of the load cell is not stated, so that U does not"
+            " include its error."
+        )
     if not loads:
         return (
             "No statement of conformity is made: the run has no load within the range that the calibration was not"
@@ -142,7 +147,7 @@ def _percent(share: float) -> str:
 def describe_rule(certificate: Certificate) -> str:
     """Return requirement and decision rule in words (JCGM 106, 8); empty without a requirement."""
     settings = certificate.settings
-    if not settings.judges:
+    if not certificate.is_judged:
         return ""
     parts = [f"{settings.max_error_N:g} N"] if settings.max_error_N else []
     parts += [f"{settings.max_error_percent:g} % of the force"] if settings.max_error_percent else []

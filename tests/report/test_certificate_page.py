@@ -83,6 +83,16 @@ def test_what_was_not_stated_is_said_to_be_not_stated():
     assert "no traceability of force to the SI is claimed" in text
 
 
+def test_without_a_certificate_of_the_load_cell_no_conformity_is_stated_of_a_real_sensor():
+    """U lacks what the load cell is off by, so that nothing can be decided; a simulated one is not off."""
+    why = "No statement of conformity is made: the certificate of the load cell is not stated"
+    real = certificate(standards=())
+    assert state_conformity(real).startswith(why)
+    assert (real.is_judged, describe_rule(real)) == (False, "")
+    simulated = replace(real, identity=replace(real.identity, simulated=("bench: seed 7",)))
+    assert state_conformity(simulated) == state_conformity(certificate())
+
+
 def test_the_first_remark_says_what_was_simulated():
     assert list_remarks(certificate())[0] == "Nothing was simulated."
     simulated = certificate(identity=replace(certificate().identity, simulated=("bench: seed 7", "the sheet")))

@@ -30,11 +30,15 @@ class _Reading:
 
 
 def check_loads(
-    record: RunRecord, recipe: Recipe, calibration: Calibration, settings: CertificateSettings
+    record: RunRecord, recipe: Recipe, calibration: Calibration, settings: CertificateSettings | None
 ) -> tuple[CheckedLoad, ...]:
     """Return the held-out loads within the calibration's range, judged by the laboratory's requirement, if any.
 
     All of them count, whether or not the calibration agrees with them.
+
+    Parameters
+    ----------
+    settings : requirement and decision rule; None: the loads are not judged.
 
     Raises
     ------
@@ -78,9 +82,9 @@ def _has_neighbours(phase: PhaseRecord, load: LoadRecord, record: RunRecord) -> 
     return bool(list_neighbours(record.indenter, phase, load, load.release_start_s - 1e-6))
 
 
-def _judge_load(reading: _Reading, calibration: Calibration, settings: CertificateSettings) -> CheckedLoad:
+def _judge_load(reading: _Reading, calibration: Calibration, settings: CertificateSettings | None) -> CheckedLoad:
     (expanded,) = evaluate_forces(calibration.issued, [reading.reference_N], [reading.place_mm])
-    if not settings.judges:
+    if settings is None or not settings.judges:
         return CheckedLoad(reading.phase, reading.reference_N, reading.indicated_N, expanded)
     maximum_N = settings.max_error_of(reading.reference_N)
     decision = decide_error(

@@ -21,7 +21,7 @@ from cbsr_qa.domain.errors import CalibrationError, RefusedError, StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.plan.standards import find_doubtful_dates
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
-from cbsr_qa.domain.results.certificate import Certificate, Replacement
+from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
@@ -79,6 +79,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
             f"run {run} is not certified: its validity of {settings.validity_months} months ended on {valid_until}",
             remedy="test the sensor again",
         )
+    judged_by = settings if is_reference_known(record.identity, issued.standards) else None
     certificate = Certificate(
         number=number_certificate(settings.prefix, run, store.certificates.count(run)),
         issued_at=now,
@@ -97,7 +98,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         radius_mm=issued.validity.radius_mm,
         standards=issued.standards,
         forces=evaluate_forces(issued, None, choose_places(issued)),
-        checked=check_loads(record, recipe, Calibration(issued), settings),
+        checked=check_loads(record, recipe, Calibration(issued), judged_by),
         reduced=issued.validity.reduced,
         valid_until=valid_until,
         replaced=_find_replaced(store, request),

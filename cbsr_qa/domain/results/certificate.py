@@ -4,12 +4,17 @@ from dataclasses import dataclass
 from datetime import date, datetime
 
 from cbsr_qa.domain.plan.plan import CertificateSettings
-from cbsr_qa.domain.plan.standards import ReferenceStandard
+from cbsr_qa.domain.plan.standards import ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.run.run import RunIdentity
 
 #: What a certificate says where nothing was stated.
 NOT_STATED = "not stated"
+
+
+def is_reference_known(identity: RunIdentity, standards: tuple[ReferenceStandard, ...]) -> bool:
+    """Whether the load cell's certificate was stated, without which U lacks its error; a simulated run needs none."""
+    return bool(identity.simulated) or find_standard(standards, StandardRole.LOAD_CELL) is not None
 
 
 @dataclass(frozen=True, slots=True)
@@ -103,6 +108,11 @@ class Certificate:
     reduced: tuple[str, ...]
     valid_until: date | None
     replaced: Replacement | None
+
+    @property
+    def is_judged(self) -> bool:
+        """Whether errors are compared with a requirement: not if nothing is stated of the load cell that tells them."""
+        return self.settings.judges and is_reference_known(self.identity, self.standards)
 
     @property
     def outcome(self) -> str:
