@@ -116,4 +116,4 @@ def test_a_backlog_that_is_too_old_is_no_good_health(url, tmp_path, watched):
     _, (only,) = watched("only")
     until(lambda: only.snapshot and only.snapshot.health, "the station")
     assert not only.snapshot.healthy
-    assert "(cbsr-qa station check); not sent to the central database: 1 item waits" in only.snapshot.health
+    assert "tell a test engineer; not sent to the central database: 1 item waits" in only.snapshot.health

@@ -10,6 +10,7 @@ from html.parser import HTMLParser
 import pytest
 import uvicorn
 from axe_core_python.sync_playwright import Axe
+from playwright.sync_api import expect
 from stored_lots import LIMITS, PHASE, store_run
 
 from cbsr_qa.domain.results.measurement import Measurement
@@ -181,8 +182,8 @@ def test_a_lot_is_found_without_a_script(served, chromium):
     page.goto(f"/shift?token={TOKEN}")
     page.get_by_role("searchbox").fill("LOT7")
     page.keyboard.press("Enter")
-    assert page.locator("h1").inner_text() == "LOT7: 2 sensors"
+    expect(page.locator("h1")).to_have_text("LOT7: 2 sensors")
     page.get_by_role("link", name="S-0501").click()
     page.get_by_role("link", name="sheet=LOT7/B").click()
-    assert page.locator("h1").inner_text() == "sheet=LOT7/B: 2 sensors"
+    expect(page.locator("h1")).to_have_text("sheet=LOT7/B: 2 sensors")
     context.close()
