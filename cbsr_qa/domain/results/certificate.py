@@ -111,7 +111,7 @@ class Certificate:
 
     @property
     def is_judged(self) -> bool:
-        """Whether errors are compared with a requirement: not if nothing is stated of the load cell that tells them."""
+        """Whether errors are compared with a requirement: not if the load cell that tells them is not stated."""
         return self.settings.judges and is_reference_known(self.identity, self.standards)
 
     @property
