@@ -39,7 +39,7 @@ from cbsr_qa.store import opening
 from cbsr_qa.store.engine import open_engine, parse_url, writing
 from cbsr_qa.store.opening import check_usable, open_existing, open_store
 from cbsr_qa.store.repository import Repository
-from cbsr_qa.web.gate import gate_view
+from cbsr_qa.web.gate import gate_view, read_latest
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.stations import ServedStation, load_stations
 
@@ -82,6 +82,7 @@ class Line:
     def scan(self, serial: str) -> None:
         """Everything that the page of a line asks when a sensor is scanned."""
         form = {"serial": serial, "operator": "Ada", "batch": "41"}
+        read_latest(self.url, serial)
         gate_view(self._served, StartForm.from_form(self._served, form), self.url)
 
     def start(self) -> None:
