@@ -115,7 +115,7 @@ def _describe_expanded(calibration: Calibration) -> Iterator[str]:
         worst = max((one for one in expanded if one.force_N == force_N), key=lambda one: one.U_N)
         x_mm, y_mm = worst.place_mm
         yield (
-            f"Expanded uncertainty of {force_N:.3g} N: at most U = {worst.U_N:.2g} N (k = {worst.k:.2f}, 95 %), at"
+            f"Expanded uncertainty of {force_N:.3g} N: at most U = {worst.U_N:#.2g} N (k = {worst.k:.2f}, 95 %), at"
             f" ({x_mm:.3g}, {y_mm:.3g}) mm, mostly by {worst.components[0].name}."
         ).replace("-", "−")
     if missing := ", ".join(expanded[0].not_stated):

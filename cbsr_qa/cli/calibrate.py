@@ -55,7 +55,9 @@ def calibrate(
     ] = 0,
     standards: Annotated[
         Path | None,
-        typer.Option(help="TOML file with [standards], or a station's: certificates that the forces are traced to."),
+        typer.Option(
+            help="TOML file with table standards, or a station's: certificates that the forces are traced to."
+        ),
     ] = None,
     output: PageOutput = None,
     as_json: AsJson = False,

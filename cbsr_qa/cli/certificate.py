@@ -36,7 +36,9 @@ def issue(
     customer_address: Annotated[str, typer.Option(help="Address of the customer.")] = "",
     laboratory: Annotated[
         Path | None,
-        typer.Option(help="File with [certificate], its own or a station's; by default that of the run's station."),
+        typer.Option(
+            help="File with table certificate, its own or a station's; by default that of the run's station."
+        ),
     ] = None,
     signatory: Annotated[str | None, typer.Option(help="Who authorises it, in place of the file's.")] = None,
     validity_months: Annotated[

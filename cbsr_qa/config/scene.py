@@ -3,11 +3,11 @@
 from collections.abc import Iterator
 from typing import Annotated, Any
 
-from pydantic import AfterValidator, Field
+from pydantic import Field
 
 from cbsr_qa.config.choices import Choice, read_choice, tables
 from cbsr_qa.config.station import IndenterTable
-from cbsr_qa.config.tables import FileModel, OpenTable, as_domain
+from cbsr_qa.config.tables import PRINTABLE, FileModel, OpenTable, PrintableLine, as_domain
 from cbsr_qa.config.text import plainly
 from cbsr_qa.domain.plan.plan import Motion, PluginChoice, Scene
 from cbsr_qa.domain.plan.scene_plan import MOST_FRAMES, SceneLoad, ScenePlan
@@ -15,16 +15,8 @@ from cbsr_qa.domain.plan.steps import CLEARANCE_MM
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.problems import Problem, Table
 
-
-def _printable(text: str) -> str:
-    if text.isprintable():
-        return text
-    raise ValueError("it must be text that can be printed, in one line")
-
-
 Positive = Annotated[float, Field(gt=0)]
 Name = Annotated[str, Field(min_length=1, max_length=64)]
-PrintableLine = Annotated[str, AfterValidator(_printable)]
 #: Current from a picoampere to ten amperes [mA]: readings and their squares stay numbers.
 Current = Annotated[float, Field(ge=1e-9, le=1e4)]
 #: Period of frames from a microsecond to ten minutes [s]. Force is sampled 8 times a second, so that a frame and a
@@ -50,7 +42,7 @@ STATION_TABLES = ("scene", "effects")
 class SceneTable(Table):
     """``[scene]``."""
 
-    name: Annotated[Name, AfterValidator(_printable)]
+    name: Annotated[Name, PRINTABLE]
     current_mA: Current
     frame_period_s: Period
     sheet_mesh_size_mm: Positive

@@ -6,12 +6,12 @@ from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field
 
-from cbsr_qa.config.tables import FileModel, IsoDate, as_domain
+from cbsr_qa.config.tables import PRINTABLE, FileModel, IsoDate, as_domain
 from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.plugin.problems import Problem, Table
 
-_Text = Annotated[str, Field(min_length=1, max_length=200)]
+_Text = Annotated[str, Field(min_length=1, max_length=200), PRINTABLE]
 #: Largest coverage factor: k of 95 % with a single degree of freedom is 12.7.
 _LARGEST_K = 14.0
 #: Expanded uncertainty relative to a value from which nothing is known of it [%].

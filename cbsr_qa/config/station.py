@@ -11,7 +11,7 @@ from cbsr_qa.config.choices import Choice, read_choice
 from cbsr_qa.config.documents import reference_path
 from cbsr_qa.config.gate import GateTable
 from cbsr_qa.config.standards import StandardsTable
-from cbsr_qa.config.tables import FileModel, IsoDate, OpenTable, Word, as_domain
+from cbsr_qa.config.tables import PRINTABLE, FileModel, IsoDate, OpenTable, Word, as_domain
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.plan.plan import (
     EMULATED,
@@ -193,7 +193,7 @@ class SyncTable(Table):
             yield Problem(path, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
 
 
-Line = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S+(?: \S+)*$")]
+Line = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S+(?: \S+)*$"), PRINTABLE]
 
 
 class CertificateTable(Table):

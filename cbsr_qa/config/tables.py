@@ -4,7 +4,7 @@ import re
 from collections.abc import Iterator
 from datetime import date, datetime
 from pathlib import Path
-from typing import Annotated, Any, Generic, TypeVar
+from typing import Annotated, Any, Final, Generic, TypeVar
 
 from pydantic import AfterValidator, BaseModel, BeforeValidator, ConfigDict, Field
 
@@ -34,6 +34,17 @@ def _word(text: str) -> str:
 
 #: Name that code uses, as of a role or a measurement.
 Word = Annotated[str, AfterValidator(_word), Field(description=_WORD_RULE)]
+
+
+def _printable(text: str) -> str:
+    if text.isprintable():
+        return text
+    raise ValueError("it must be text that can be printed, in one line")
+
+
+#: Refuses control characters, line breaks, and characters that turn or hide others.
+PRINTABLE: Final = AfterValidator(_printable)
+PrintableLine = Annotated[str, PRINTABLE]
 
 
 def _iso_date(value: Any) -> str:

@@ -11,7 +11,7 @@ from markupsafe import Markup
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, CheckedLoad
-from cbsr_qa.domain.results.expanded_force import ExpandedForce
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce
 from cbsr_qa.report.render import make_environment, read_style
 
 #: Most checked loads in the table: more do not fit on the page. Those nearest to their limit are shown.
@@ -38,13 +38,15 @@ _OUTCOMES: Final = {
 #: The same in the table of loads.
 _DECISIONS: Final = {
     "pass": "conforms",
-    "conditionalPass": "in guard band",
+    "conditionalPass": "within T by < U",
     "conditionalFail": "beyond T by < U",
     "fail": "does not conform",
     "": "",
 }
 #: Degrees of freedom above which k is that of infinitely many, within 0.003.
 _MANY: Final = 999
+#: Degrees of freedom below which random numbers of an input scatter far more than normal ones.
+_FEW: Final = 5
 
 
 def render_certificate(certificate: Certificate, fingerprint: str) -> str:
@@ -179,12 +181,13 @@ def list_remarks(certificate: Certificate) -> list[str]:
     missing = list(dict.fromkeys(name for force in certificate.forces for name in force.not_stated))
     if missing:
         remarks.append(f"Not in U, since nothing states them: {'; '.join(missing)}.")
-    bent = [force for force in certificate.forces if force.monte_carlo is not None]
-    if bent:
-        ratio = max(force.monte_carlo.half_width / force.U_N for force in bent if force.monte_carlo is not None)
+    if any(component.name == GAIN_DRIFT for force in certificate.forces for component in force.components):
+        remarks.append(f"U includes a drift of the readings' gains over {IN_USE_YEARS:g} year of use.")
+    remarks += _compare_with_random_numbers(certificate.forces)
+    if certificate.held_out > len(certificate.checked):
         remarks.append(
-            f"At {len(bent)} of {len(certificate.forces)} forces the model bends within U: half the interval of"
-            f" 95 % by random numbers (JCGM 101:2008) is at most {ratio:.2f} U."
+            f"The calibration was not learned from {certificate.held_out} loads; errors are stated of the"
+            f" {len(certificate.checked)} that were pressed alone, within its range."
         )
     reduced = certificate.reduced
     remarks += [f"{reason[:1].upper()}{reason[1:]}." for reason in reduced[:_MOST_REDUCED]]
@@ -192,6 +195,21 @@ def list_remarks(certificate: Certificate) -> list[str]:
         remarks.append(f"{len(reduced) - _MOST_REDUCED} more limitations stand in the calibration file.")
     remarks.append("The sensor was not adjusted: the calibration file converts its readings to forces.")
     return remarks
+
+
+def _compare_with_random_numbers(forces: Sequence[ExpandedForce]) -> Iterator[str]:
+    """Yield how far intervals by random numbers reach beyond U, where the law of propagation may not do."""
+    ratios = {force: force.monte_carlo.half_width / force.U_N for force in forces if force.monte_carlo is not None}
+    if not ratios:
+        return
+    worst = max(ratios, key=ratios.__getitem__)
+    assert worst.monte_carlo is not None
+    fewest = min(worst.components, key=lambda component: component.dof)
+    few = f", {fewest.name} has ν = {fewest.dof:.0f}" if fewest.dof < _FEW else ""
+    yield (
+        f"At {len(ratios)} of {len(forces)} forces U was compared with random numbers (JCGM 101:2008):"
+        f" half their interval of 95 % is at most {ratios[worst]:.2f} U, where {worst.monte_carlo.why}{few}."
+    )
 
 
 def _standards(certificate: Certificate) -> Iterator[tuple[str, str]]:

@@ -120,6 +120,7 @@ def _add_statements(statements: Element, certificate: Certificate) -> None:
     """Add remarks, the first of which says what was simulated; validity; decision rule with the conformity."""
     for number, remark in enumerate(list_remarks(certificate)):
         _add_statement(statements, "simulation" if number == 0 else "remark", remark)
+    _add_statement(statements, "condition", f"verdict of the recipe's limits: {certificate.verdict}")
     if certificate.valid_until is None:
         _add_statement(statements, "validity", NOT_STATED)
     else:

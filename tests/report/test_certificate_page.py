@@ -9,6 +9,7 @@ import pytest
 from certificates import HOSTILE, certificate, checked_load, expanded_force, largest_certificate, settings
 
 from cbsr_qa.domain.results.certificate import Customer, Replacement
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, MonteCarlo
 from cbsr_qa.report.certificate import (
     choose_loads,
     describe_rule,
@@ -109,6 +110,21 @@ def test_inputs_that_nothing_states_are_named():
     assert list_remarks(certificate(forces=forces))[1] == (
         "Not in U, since nothing states them: drift of the load cell; temperature."
     )
+
+
+def test_loads_that_were_not_checked_and_drift_in_use_are_remarked():
+    remarks = list_remarks(certificate(held_out=5, forces=(expanded_force(name=GAIN_DRIFT),)))
+    assert "U includes a drift of the readings' gains over 1 year of use." in remarks
+    assert any("was not learned from 5 loads; errors are stated of the 2" in remark for remark in remarks)
+    plain = " ".join(list_remarks(certificate()))
+    assert "drift of the readings" not in plain
+    assert "was not learned from" not in plain
+
+
+def test_an_interval_by_random_numbers_says_why_it_is_wider():
+    wide = replace(expanded_force(dof=1.0), monte_carlo=MonteCarlo(1000, 1.7, 2.3, "x is rectangular"))
+    (remark,) = [one for one in list_remarks(certificate(forces=(wide,))) if "JCGM 101" in one]
+    assert "at most 2.90 U, where x is rectangular, load cell has ν = 1." in remark
 
 
 def test_names_with_markup_are_text():

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from functools import partial
+from math import floor
 from pathlib import Path
 from typing import Final
 
@@ -142,10 +143,10 @@ def _expanded(forces: tuple[ShownExpandedForce, ...]) -> Table:
         (
             *(format_fixed(axis_mm, 1) for axis_mm in one.place_mm),
             f"{one.force_N:.3g}",
-            f"{one.standard_uncertainty_N:.2g}",
-            "∞" if one.dof is None or one.dof > _MANY else f"{one.dof:.0f}",
+            f"{one.standard_uncertainty_N:#.2g}",
+            "∞" if one.dof is None or one.dof > _MANY else str(floor(one.dof)),  # as k is (JCGM 100, G.6.4)
             f"{one.k:.2f}",
-            f"{one.U_N:.2g}",
+            f"{one.U_N:#.2g}",
             "" if one.monte_carlo_N is None else "{:.3g} to {:.3g}".format(*one.monte_carlo_N),
             max(one.components_N, key=lambda name: one.components_N[name]),
         )

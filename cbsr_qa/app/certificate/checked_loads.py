@@ -47,10 +47,14 @@ def check_loads(
     """
     return tuple(
         _judge_load(reading, calibration, settings)
-        for phase in record.phases
-        if phase.role in _ROLES and phase.name not in recipe.calibrate_phases
+        for phase in list_held_out(record, recipe)
         for reading in _read_loads(phase, record, recipe, calibration)
     )
+
+
+def list_held_out(record: RunRecord, recipe: Recipe) -> list[PhaseRecord]:
+    """Return the phases with loads all over the sheet that the calibration was not learned from."""
+    return [phase for phase in record.phases if phase.role in _ROLES and phase.name not in recipe.calibrate_phases]
 
 
 def _read_loads(

@@ -10,7 +10,7 @@ from math import dist, hypot
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.app.certificate.checked_loads import check_loads
+from cbsr_qa.app.certificate.checked_loads import check_loads, list_held_out
 from cbsr_qa.app.certificate.request import CertificateRequest, choose_settings
 from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.calibration.file.hdf5 import calibration_of
@@ -19,9 +19,11 @@ from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
 from cbsr_qa.config.merging import content_digest
 from cbsr_qa.domain.errors import CalibrationError, RefusedError, StoreError
 from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.plan.standards import find_doubtful_dates
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
@@ -79,6 +81,8 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
             f"run {run} is not certified: its validity of {settings.validity_months} months ended on {valid_until}",
             remedy="test the sensor again",
         )
+    forces = evaluate_forces(issued, None, choose_places(issued))
+    _check_validity(run, settings, forces)
     judged_by = settings if is_reference_known(record.identity, issued.standards) else None
     certificate = Certificate(
         number=number_certificate(settings.prefix, run, store.certificates.count(run)),
@@ -90,20 +94,33 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         calibration_digest=issued.digest,
         performed=performed,
         recipe_digest=content_digest(_recipe_content(analysis, configuration)),
-        verdict=str(verdict),
+        verdict=verdict,
         sensor=f"{issued.sensor_type.name}, {issued.sensor_type.electrodes.count} electrodes",
         head=issued.indenter.words(),
         temperature_C=issued.validity.temperature_C,
         range_N=issued.validity.force_N,
         radius_mm=issued.validity.radius_mm,
         standards=issued.standards,
-        forces=evaluate_forces(issued, None, choose_places(issued)),
+        forces=forces,
         checked=check_loads(record, recipe, Calibration(issued), judged_by),
+        held_out=sum(len(phase.loads) for phase in list_held_out(record, recipe)),
         reduced=issued.validity.reduced,
         valid_until=valid_until,
         replaced=_find_replaced(store, request),
     )
     return Composed(certificate, key, record.chain_head)
+
+
+def _check_validity(run: str, settings: CertificateSettings, forces: Sequence[ExpandedForce]) -> None:
+    """Refuse a validity beyond the time for which the budget states the drift of gains."""
+    longest = round(12 * IN_USE_YEARS)
+    drifts = any(component.name == GAIN_DRIFT for force in forces for component in force.components)
+    if drifts and (settings.validity_months or 0) > longest:
+        raise RefusedError(
+            f"run {run} is not certified: U includes a drift of gains over {longest} months, and the validity is"
+            f" {settings.validity_months}",
+            remedy=f"state a validity of at most {longest} months",
+        )
 
 
 def _find_replaced(store: Repository, request: CertificateRequest) -> Replacement | None:
@@ -142,23 +159,24 @@ def _recipe_content(analysis: StoredAnalysis, configuration: str) -> Any:
 
 def _require_pass(
     store: Repository, record: RunRecord, stored: Sequence[StoredAnalysis]
-) -> tuple[StoredAnalysis, Outcome]:
-    """Return the latest analysis of a run that passed and issued a calibration, and its verdict."""
+) -> tuple[StoredAnalysis, str]:
+    """Return the latest analysis of a run that passed and issued a calibration, and its verdict in words."""
     run, serial = record.identity.run, record.identity.sensor.serial
     if not stored:
         raise RefusedError(f"run {run} of sensor {serial} is not certified: it was {record.end} and has no result")
     latest = stored[0]
     overrides = [one for one in store.changes.list_overrides(run) if one.analysis == latest.analysis]
     outcome = overrides[-1].outcome if overrides else latest.verdict.outcome
+    overridden = f"overridden by {overrides[-1].by}: {overrides[-1].why}" if overrides else ""
     if outcome not in (Outcome.PASS, Outcome.MARGINAL):
-        reason = f"overridden by {overrides[-1].by}: {overrides[-1].why}" if overrides else latest.verdict.reason
+        reason = overridden or latest.verdict.reason
         raise RefusedError(f"sensor {serial} is not certified: the verdict of run {run} is {outcome}: {reason}")
     if latest.calibration is None:
         raise RefusedError(
             f"run {run} is not certified: it issued no calibration: {latest.calibration_why}",
             remedy="name another run of the sensor; cbsr-qa runs lists them",
         )
-    return latest, outcome
+    return latest, f"{outcome}, {overridden}" if overridden else str(outcome)
 
 
 def _load_calibration(store: Repository, analysis: StoredAnalysis) -> IssuedCalibration:

@@ -45,7 +45,8 @@ def write_files(folder: Path, number: str, contents: Mapping[str, bytes]) -> Ite
         yield paths
     except BaseException:
         for path in paths.values():
-            path.unlink(missing_ok=True)
+            with suppress(OSError):  # what kept it from being written may also keep it from being looked for
+                path.unlink(missing_ok=True)
         if made:
             with suppress(OSError):  # others may have written to it meanwhile
                 folder.rmdir()

@@ -150,7 +150,7 @@ def issue_batch(
     outcome = answer(
         BatchCertificates(batch, issued, refused),
         f"{plural(len(issued), 'certificate')} of batch {batch} issued",
-        f"{len(refused)} sensors got none" if refused else "",
+        f"{plural(len(refused), 'sensor')} got none" if refused else "",
         printed=[("Folder", str(request.folder))],
         warnings=warnings,
     )

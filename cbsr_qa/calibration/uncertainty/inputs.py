@@ -13,9 +13,8 @@ from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoint
 from cbsr_qa.calibration.uncertainty.transients import kernel_error
 from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration, ForceModel
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS
 
-#: Time since the reference frame for which drifts of the readings are stated [years].
-IN_USE_YEARS: Final = 1.0
 _DAYS_A_YEAR: Final = 365.25
 #: Standard uncertainty of a rectangle over its width (JCGM 100, 4.3.7).
 _OF_WIDTH: Final = 1 / sqrt(12)
@@ -114,7 +113,9 @@ class ForceInputs:
         if stage is None:
             yield "place of indentation"
             return
-        u_mm = hypot(stage.standard_uncertainty, (stage.resolution or 0.0) * _OF_WIDTH)
+        u_mm = combine_standard(stage, self.calibration.issued_at)
+        if stage.drift_a_year is None:
+            yield "drift of the stage"
         for axis, slope in zip("xy", point.slope_per_mm.tolist(), strict=True):
             source = f"{stage.words()}; the force changes by {slope:.2%} in 1 mm along {axis}"
             sign = -1.0 if slope < 0 else 1.0
@@ -189,7 +190,9 @@ class ForceInputs:
             return
         if thermometer is None:
             yield "thermometer"
-        reading_C = 0.0 if thermometer is None else thermometer.standard_uncertainty
+        elif thermometer.drift_a_year is None:
+            yield "drift of the thermometer"
+        reading_C = 0.0 if thermometer is None else combine_standard(thermometer, self.calibration.issued_at)
         u_C = hypot((measured_C[1] - measured_C[0]) * _OF_WIDTH, reading_C)
         source = f"{per_C.value:.2%} a °C, within {measured_C[0]:.3g} to {measured_C[1]:.3g} °C: {per_C.source}"
         yield ForceInput(
@@ -206,12 +209,12 @@ class ForceInputs:
         meter = find_standard(self.calibration.standards, StandardRole.SOURCE_METER)
         drift = None if meter is None else meter.drift_uncertainty(IN_USE_YEARS)
         if meter is None or drift is None:
-            yield "drift of gains since the reference"
+            yield GAIN_DRIFT
         else:
             source = f"at most {meter.drift_a_year:g} % a year, for use within {IN_USE_YEARS:g} year of the reference"
             sign = -1.0 if point.gain < 0 else 1.0
             yield ForceInput(
-                "drift of gains since the reference",
+                GAIN_DRIFT,
                 "B",
                 Entry.STRENGTH,
                 abs(point.gain) * drift,
@@ -223,6 +226,14 @@ class ForceInputs:
         yield ForceInput(
             "noise of a frame", "A", Entry.STRENGTH, point.noise, "the run's frames at rest", in_runtime=True
         )
+
+
+def combine_standard(standard: ReferenceStandard, issued_at: str) -> float:
+    """Return the standard uncertainty with resolution, and with drift until a day, as far as they are stated."""
+    steps = (standard.resolution or 0.0) * _OF_WIDTH
+    return hypot(
+        standard.standard_uncertainty, steps, standard.drift_uncertainty(_years_between(standard, issued_at)) or 0.0
+    )
 
 
 def _years_between(standard: ReferenceStandard, issued_at: str) -> float:

@@ -2,7 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
-from math import hypot, sqrt
+from math import sqrt
 from typing import Final
 
 import numpy as np
@@ -13,12 +13,12 @@ from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.uncertainty.budget import Place, list_forces, list_places
 from cbsr_qa.calibration.uncertainty.combination import COVERAGE, BudgetInput, combine
 from cbsr_qa.calibration.uncertainty.force_point import ForcePoints
-from cbsr_qa.calibration.uncertainty.inputs import IN_USE_YEARS
+from cbsr_qa.calibration.uncertainty.inputs import combine_standard
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.results.expanded_force import ExpandedPlace
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedPlace
 
 #: Least ratio of the axes' variances: below it the region is a line.
 _LINE: Final = 1e-6
@@ -63,6 +63,7 @@ class _PlaceInputs:
     def __init__(self, calibration: Calibration, points: ForcePoints) -> None:
         self._points = points
         self._matched = TemplateFilter(points.model)
+        self._issued_at = calibration.issued_at
         self._stage = find_standard(calibration.standards, StandardRole.STAGE)
         self._meter = find_standard(calibration.standards, StandardRole.SOURCE_METER)
 
@@ -89,16 +90,17 @@ class _PlaceInputs:
         scatter_mm = self._points.model.place_scatter_mm
         yield "scatter of places", "A", scatter_mm**2 * np.eye(2), "places found of the run's loads", False
         drift = None if self._meter is None else self._meter.drift_uncertainty(IN_USE_YEARS)
-        name = "drift of gains since the reference"
         if drift is None or self._meter is None:
-            yield name, "B", None, "", True
+            yield GAIN_DRIFT, "B", None, "", True
         else:
             moved_mm = drift * (covariance @ rows @ self._points.reference_rows)[1:]
-            yield name, "B", np.outer(moved_mm, moved_mm), self._meter.words(), True
+            yield GAIN_DRIFT, "B", np.outer(moved_mm, moved_mm), self._meter.words(), True
         if self._stage is None:
             yield "place of indentation", "B", None, "", True
         else:
-            u_mm = hypot(self._stage.standard_uncertainty, (self._stage.resolution or 0.0) / sqrt(12))
+            u_mm = combine_standard(self._stage, self._issued_at)
+            if self._stage.drift_a_year is None:
+                yield "drift of the stage", "B", None, "", True
             yield "place of indentation", "B", u_mm**2 * np.eye(2), self._stage.words(), True
 
 

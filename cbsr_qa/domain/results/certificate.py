@@ -81,7 +81,8 @@ class Certificate:
     range_N, radius_mm : forces, and distance from the centre, for which the calibration is valid.
     standards : those that were stated.
     forces : results: force with U at stated places.
-    checked : loads that the calibration was not learned from.
+    checked : loads that the calibration was not learned from, within its range.
+    held_out : number of all loads that it was not learned from.
     reduced : why the calibration's range is smaller than intended.
     valid_until : None: no validity is stated.
     replaced : the certificate that this one replaces; None without.
@@ -105,6 +106,7 @@ class Certificate:
     standards: tuple[ReferenceStandard, ...]
     forces: tuple[ExpandedForce, ...]
     checked: tuple[CheckedLoad, ...]
+    held_out: int
     reduced: tuple[str, ...]
     valid_until: date | None
     replaced: Replacement | None

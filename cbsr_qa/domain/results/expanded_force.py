@@ -2,6 +2,11 @@
 
 from dataclasses import dataclass
 from math import hypot
+from typing import Final
+
+#: Input of a sensor in use: its readings' gains since the reference frame, and the time for which they are stated.
+GAIN_DRIFT: Final = "drift of gains since the reference"
+IN_USE_YEARS: Final = 1.0
 
 
 @dataclass(frozen=True, slots=True)
@@ -42,7 +47,7 @@ class MonteCarlo:
     ----------
     trials : number of trials.
     low, high : interval of 95 % with equal tails (JCGM 101, 7.7), in the measurand's unit.
-    why : what bends the model, so that the law of propagation alone is not enough.
+    why : why the law of propagation alone may not be enough.
     """
 
     trials: int

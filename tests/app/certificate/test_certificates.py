@@ -9,17 +9,20 @@ from types import SimpleNamespace
 
 import pytest
 from altered_runs import fill
-from certificates import HOSTILE, laboratory_table
+from certificates import HOSTILE, expanded_force, laboratory_table
 from certified_runs import STANDARDS, copy_tested, write_recipe, write_station
 from synced import run_of
 
 import cbsr_qa as qa
+from cbsr_qa.app.certificate import compose
 from cbsr_qa.app.certificate.compose import add_months, choose_places, number_certificate
 from cbsr_qa.app.certificate.verify import verify_certificate
 from cbsr_qa.calibration.file.keys import new_key
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.loader import load_certificate_settings, load_station
 from cbsr_qa.domain.errors import CalibrationError, ConfigError
+from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT
 from cbsr_qa.store.opening import open_store
 
 REST = pytest.mark.rest
@@ -36,7 +39,8 @@ def place(tmp_path, monkeypatch, capsys):
         assert run_guarded(["certificate", *arguments]) == code, capsys.readouterr().err
         return json.loads(capsys.readouterr().out)
 
-    return SimpleNamespace(folder=tmp_path, database=database, certify=certify)
+    at = ["--database", str(database)]
+    return SimpleNamespace(folder=tmp_path, database=database, at=at, certify=certify)
 
 
 def change(database, statement):
@@ -68,6 +72,45 @@ def test_a_certificate_is_issued_by_the_contract_and_holds(place):
     page = (place.folder / made["html"]).read_text()
     assert "Robots plc" in page
     assert "<ul>\n<li>Simulated: bench: simulated bench" in page
+
+
+@REST
+@pytest.mark.parametrize("letter", ["\\u0007", "\\u202E", "\\u200B"])
+def test_texts_that_cannot_be_printed_are_named(place, letter, capsys):
+    """XML has no control characters, and others turn or hide what is signed."""
+    file = place.folder / "laboratory.toml"
+    file.write_text(laboratory_table().replace("Soft Sensor Works", f"Soft{letter}Sensor"))
+    assert run_guarded(["certificate", "S-1", "--to", "out", "--laboratory", str(file), *place.at]) == 2
+    assert "certificate.laboratory" in (said := capsys.readouterr().err)
+    assert "printed, in one line" in " ".join(said.split())
+    issued_nothing(place)
+
+
+@REST
+def test_a_folder_below_a_file_is_named(place, capsys):
+    (place.folder / "file").write_text("")
+    assert run_guarded(["certificate", "S-1", "--to", "file/out", *place.at]) == 2
+    assert "file/out" in capsys.readouterr().err
+    with open_store(f"sqlite:///{place.database}") as store:
+        assert store.certificates.list_all() == ()
+
+
+@REST
+def test_an_overridden_verdict_is_stated_with_who_decided(place):
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+        store.changes.override_verdict(run, Outcome.FAIL, operator="Ada", why="scratched")
+        store.changes.override_verdict(run, Outcome.PASS, operator="Bob", why="looked again")
+    made = place.certify("S-1", "--to", "out")
+    for file in (made["html"], made["dcc"]):
+        assert "pass, overridden by Bob: looked again" in (place.folder / file).read_text()
+
+
+@REST
+def test_a_validity_beyond_the_time_that_u_is_stated_for_is_refused(place, monkeypatch):
+    monkeypatch.setattr(compose, "evaluate_forces", lambda *_: (expanded_force(name=GAIN_DRIFT),))
+    place.certify("S-1", "--to", "out", "--validity-months", "13", code=2)
+    issued_nothing(place)
 
 
 @REST

@@ -21,8 +21,8 @@ from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 LOAD_CELL = ReferenceStandard(
     "load_cell", "K-1", "Lab", "2026-01-01", "2027-01-01", 0.5, 2.0, "%", 0.3, 0.005, 0.5, 20.0
 )
-STAGE = ReferenceStandard("stage", "S-1", "Lab", "2026-01-01", "2027-01-01", 0.2, 2.0, "mm", resolution=0.01)
-THERMOMETER = ReferenceStandard("thermometer", "T-1", "Lab", "2026-01-01", "2027-01-01", 0.2, 2.0, "°C")
+STAGE = ReferenceStandard("stage", "S-1", "Lab", "2026-01-01", "2027-01-01", 0.2, 2.0, "mm", 0.1, 0.01)
+THERMOMETER = ReferenceStandard("thermometer", "T-1", "Lab", "2026-01-01", "2027-01-01", 0.2, 2.0, "°C", 0.6, 0.5)
 SOURCE_METER = ReferenceStandard(
     "source_meter", "Q-1", "Lab", "2026-01-01", "2027-01-01", 0.1, 2.0, "%", 0.02, None, 0.1, 1.0
 )
@@ -86,7 +86,7 @@ def test_a_load_cells_certificate_enters_with_drift_since_its_date_and_resolutio
     assert parts["drift of the load cell"] == pytest.approx(2 * 0.003 * years / sqrt(3))
     assert parts["resolution of the load cell"] == pytest.approx(0.005 / sqrt(12))
     assert parts["area of the head"] == 0
-    temperature_C = hypot(4 / sqrt(12), 0.1)
+    temperature_C = hypot(4 / sqrt(12), 0.1, 0.5 / sqrt(12), 0.6 * years / sqrt(3))
     assert parts["temperature"] == pytest.approx(2 * 0.005 * temperature_C)
     assert {part.name for part in expanded.components if part.shared} == {
         "load cell",
@@ -99,6 +99,17 @@ def test_a_load_cells_certificate_enters_with_drift_since_its_date_and_resolutio
         "temperature",
         "drift of gains since the reference",
     }
+
+
+@pytest.mark.parametrize("standard", [STAGE, THERMOMETER])
+def test_a_drift_that_is_not_stated_is_named_and_a_stated_one_counts(stated, standard):
+    silent = replace(standard, drift_a_year=None)
+    others = [one for one in stated.standards if one.role != standard.role]
+    (less,), (full,) = (
+        evaluate_forces(replace(stated, standards=(*others, one)), [2.0], [PLACE]) for one in (silent, standard)
+    )
+    assert set(less.not_stated) - set(full.not_stated) == {f"drift of the {standard.role}"}
+    assert less.standard_uncertainty_N < full.standard_uncertainty_N
 
 
 def test_a_drift_of_all_gains_changes_the_force_that_the_runtime_tells_as_much(stated):
@@ -254,7 +265,7 @@ def test_the_runtime_gives_each_told_force_an_expanded_uncertainty(stated):
 def test_what_a_sensor_does_states_U_where_a_load_cell_is_stated(bare, stated):
     words = " ".join(describe_abilities(stated))
     worst_N = max(one.U_N for one in evaluate_forces(stated) if one.force_N == 5.5)
-    assert f"Expanded uncertainty of 5.5 N: at most U = {worst_N:.2g} N (k = " in words
+    assert f"Expanded uncertainty of 5.5 N: at most U = {worst_N:#.2g} N (k = " in words
     assert "Not stated, and not in U: tilt of the head." in words
     assert "Expanded" not in " ".join(describe_abilities(bare))
     narrow = replace(stated, standards=(replace(LOAD_CELL, range_high=3.0),))
