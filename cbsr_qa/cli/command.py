@@ -100,7 +100,7 @@ def group(name: str, purpose: str, *, default: str = "") -> None:
 
     Parameters
     ----------
-    default : command that is meant if the second word is none of the group's; empty for none.
+    default : command that is meant if the second word names none of the group; empty without such a command.
     """
     _GROUPS[name], _DEFAULTS[name] = purpose, default
 

@@ -48,17 +48,17 @@ class _StandardTable(Table):
             yield Problem(("standards", role, "uncertainty"), finding, f"allowed: below {_LARGEST_PERCENT:g} %")
         if not date.fromisoformat(self.date) < date.fromisoformat(self.due):
             yield Problem(("standards", role, "due"), f"{self.due} is not after the date of calibration, {self.date}")
-        covered = self._by_unit(role, "range")
+        covered = self._select_by_unit(role, "range")
         if covered is not None and not covered[0] < covered[1]:
             key = f"range_{_SUFFIXES[role]}"
             yield Problem(("standards", role, key), "is no range; give the lowest and then the highest")
 
     def to_domain(self, role: StandardRole) -> ReferenceStandard:
-        low, high = self._by_unit(role, "range") or (None, None)
-        step = self._by_unit(role, "resolution")
+        low, high = self._select_by_unit(role, "range") or (None, None)
+        step = self._select_by_unit(role, "resolution")
         return as_domain(ReferenceStandard, self, role=role.value, resolution=step, range_low=low, range_high=high)
 
-    def _by_unit(self, role: StandardRole, what: str) -> Any:
+    def _select_by_unit(self, role: StandardRole, what: str) -> Any:
         """Return what is stated by a key that ends with the unit of the role; None if it is not."""
         return getattr(self, f"{what}_{_SUFFIXES.get(role)}", None)
 

@@ -276,7 +276,7 @@ class StationFile(FileModel[Station]):
             yield from self.calibrations.problems()
         yield from self.gate.problems()
         yield from self.sync.problems()
-        yield from self._certified_problems()
+        yield from self._find_certificate_problems()
         if self.gate.backlog not in (None, "off") and self.sync.backlog_hours is None:
             yield Problem(("gate", "backlog"), "needs backlog_hours in [sync]")
         if self.station.overdue is not None and self.gate.calibration_due is not None:
@@ -293,7 +293,7 @@ class StationFile(FileModel[Station]):
             if role not in instrument_by_role:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
 
-    def _certified_problems(self) -> Iterator[Problem]:
+    def _find_certificate_problems(self) -> Iterator[Problem]:
         if self.certificate is not None:
             yield from self.certificate.problems()
         if not any(problem.path[0] == "indenter" for problem in self.indenter.problems()):

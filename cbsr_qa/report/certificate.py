@@ -112,7 +112,7 @@ def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:
 
 
 def state_conformity(certificate: Certificate) -> str:
-    """Return the statement of conformity in words (ISO/IEC 17025:2017, 7.8.6.2), or why there is none."""
+    """Return the statement of conformity in words (ISO/IEC 17025:2017, 7.8.6.2), or the reason why none is made."""
     loads = certificate.checked
     if not certificate.settings.judges:
         return "No statement of conformity is made: no maximum permissible error was stated."
@@ -128,8 +128,16 @@ def state_conformity(certificate: Certificate) -> str:
         )
     risks = [1 - load.conformance for load in loads if load.outcome == "pass" and load.conformance is not None]
     kept = [load.conformance for load in loads if load.outcome == "fail" and load.conformance is not None]
-    accepted = f" Largest specific risk of false acceptance: {_percent(max(risks))}." if risks else ""
-    rejected = f" Largest specific risk of false rejection: {_percent(max(kept))}." if kept else ""
+    accepted = (
+        f" Largest specific risk of false acceptance by the inputs that are stated: {_percent(max(risks))}."
+        if risks
+        else ""
+    )
+    rejected = (
+        f" Largest specific risk of false rejection by the inputs that are stated: {_percent(max(kept))}."
+        if kept
+        else ""
+    )
     counts = {word: sum(load.outcome == word for load in loads) for word in _OUTCOMES if word}
     plain = {"pass": "conform", "fail": "do not conform"} if len(loads) > 1 else {}
     verdict = {

@@ -102,7 +102,7 @@ def strain_violations(strain: float, plan: Plan) -> Iterator[Violation]:
     if not force_N <= plan.safety.force_N:
         yield Violation("force", f"{force_N:.3g} N expected; the station allows {plan.safety.force_N:g} N")
     load_cell = find_standard(plan.standards, StandardRole.LOAD_CELL)
-    relaxed_N = _relaxed_force_N(strain, plan)
+    relaxed_N = _predict_relaxed_force_N(strain, plan)
     if load_cell is not None and not load_cell.covers(relaxed_N):
         yield Violation("standard", _describe_range(load_cell, f"{relaxed_N:.3g} N expected once relaxed"))
 
@@ -132,10 +132,10 @@ def highest_force_N(strain: float, plan: Plan) -> float:
     terms add to it: F = E ε A (1 + Σ max(w, 0)), an upper bound for any mixture of signs.
     """
     overshoot = sum(max(weight, 0.0) for weight in plan.material.stress_relaxation.weights)
-    return _relaxed_force_N(strain, plan) * (1 + overshoot)
+    return _predict_relaxed_force_N(strain, plan) * (1 + overshoot)
 
 
-def _relaxed_force_N(strain: float, plan: Plan) -> float:
+def _predict_relaxed_force_N(strain: float, plan: Plan) -> float:
     return plan.material.modulus_kPa.value * 1e-3 * strain * plan.indenter.area_mm2
 
 

@@ -63,7 +63,7 @@ def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
     yield _texts("Force", _force(shown))
     if shown.expanded_forces:
-        yield Section("Expanded uncertainty of force", (_expanded(shown.expanded_forces),))
+        yield Section("Expanded uncertainty of force", (_tabulate_expanded_forces(shown.expanded_forces),))
     yield Section("Settling", (_settling(shown.settling),))
     other_fields = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
     rows = [(path, field.units, field.text) for path, field in other_fields.items() if field.listed]
@@ -138,7 +138,7 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
             yield f"{standard.role_words.capitalize()}: {standard.words()}."
 
 
-def _expanded(forces: tuple[ShownExpandedForce, ...]) -> Table:
+def _tabulate_expanded_forces(forces: tuple[ShownExpandedForce, ...]) -> Table:
     rows = [
         (
             *(format_fixed(axis_mm, 1) for axis_mm in one.place_mm),

@@ -100,12 +100,12 @@ def to_text(content: CertificateSeal | WithdrawnList) -> str:
 
 
 def read_seal(path: Path) -> CertificateSeal:
-    """Read the signature file of a certificate. CalibrationError if it is none, or damaged."""
+    """Read the signature file of a certificate. CalibrationError if the file is another one, or damaged."""
     return _read(path, CertificateSeal)
 
 
 def read_withdrawn(path: Path) -> WithdrawnList:
-    """Read a list of withdrawn certificates. CalibrationError if it is none, or damaged."""
+    """Read a list of withdrawn certificates. CalibrationError if the file is another one, or damaged."""
     return _read(path, WithdrawnList)
 
 

@@ -73,7 +73,7 @@ class ForceInputs:
             *self._map(point),
             *self._line(point),
             *self._transients(point),
-            *self._repeated(),
+            *self._repeatability(),
             *self._temperature(),
             *self._readings(point),
         ]
@@ -170,7 +170,7 @@ class ForceInputs:
             freedom = max(kernel.scatter_freedom, 1.0)
             yield ForceInput(name, "A", Entry.STRENGTH, relative * abs(point.strength), source, dof=freedom)
 
-    def _repeated(self) -> Iterator[ForceInput | str]:
+    def _repeatability(self) -> Iterator[ForceInput | str]:
         presses = sum(place.loads for place in self.calibration.baseline if place.value is not None)
         places = sum(1 for place in self.calibration.baseline if place.value is not None)
         freedom = float(max(presses - places, 1))

@@ -104,7 +104,7 @@ class Certificates:
             return _find(connection, number)
 
     def load(self, number: str) -> StoredCertificate:
-        """Return a certificate. StoreError if there is none, or it was altered."""
+        """Return a certificate. StoreError if it is not stored, or was altered."""
         with reading(self._engine) as connection:
             return _load(connection, number)
 

@@ -68,7 +68,7 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
 
 
 @draw_svg
-def fitted_histogram(label: str, values: Array, fit: FamilyFit, lower: float | None, upper: float | None) -> Canvas:
+def draw_fit_histogram(label: str, values: Array, fit: FamilyFit, lower: float | None, upper: float | None) -> Canvas:
     """Draw values (n,), the density of the distribution fitted to them, and the limits as ``<svg>``."""
     figure = canvas(2.2)
     axes = figure.add_axes((0.1, 0.2, 0.88, 0.75))

@@ -26,7 +26,7 @@ _HISTOGRAM: Final = (
 _REFUTED: Final = "{metric}, {group}: the values refute the {family} distribution (p: {p}); do not use its indices."
 
 
-def fitted_blocks(metrics: tuple[MetricComparison, ...]) -> Iterator[Block]:
+def build_fit_blocks(metrics: tuple[MetricComparison, ...]) -> Iterator[Block]:
     """Lay out what was fitted; nothing if no distribution was asked for."""
     rows: list[tuple[str, ...]] = []
     others: list[Block] = []
@@ -76,9 +76,9 @@ def _figure(metric: MetricComparison, fitted: FittedCapability, words: dict[str,
 
     def draw() -> str:
         # loads matplotlib
-        from cbsr_qa.studies.compare.figures import fitted_histogram
+        from cbsr_qa.studies.compare.figures import draw_fit_histogram
 
-        return fitted_histogram(_label(metric), values, fitted.fit, metric.values.lower, metric.values.upper)
+        return draw_fit_histogram(_label(metric), values, fitted.fit, metric.values.lower, metric.values.upper)
 
     low, middle, high = (number(point) for point in fitted.percentiles)
     description = f"0.135 % of the fitted distribution lies below {low}, half below {middle}, 99.865 % below {high}."

@@ -13,7 +13,7 @@ from cbsr_qa.stats.samples import Interval
 from cbsr_qa.studies.compare.comparison import Comparison, MetricComparison
 from cbsr_qa.studies.compare.describe import QUANTILES
 from cbsr_qa.studies.compare.differences import Difference, Estimated, PlaceDifference
-from cbsr_qa.studies.compare.fitted import fitted_blocks
+from cbsr_qa.studies.compare.fitted import build_fit_blocks
 from cbsr_qa.studies.compare.terms import By
 
 _MAX_DRAWN: Final = 12
@@ -61,7 +61,7 @@ def sections(comparison: Comparison) -> Iterator[Section]:
         ("Distributions", distributions, True),
         ("Where on the sheet", (block for metric in drawn_metrics for block in _maps(metric, comparison)), True),
         ("Values of each group", (*_values_table(comparison), *_capability_table(comparison)), True),
-        ("Capability by a fitted distribution", fitted_blocks(comparison.of_metrics), False),
+        ("Capability by a fitted distribution", build_fit_blocks(comparison.of_metrics), False),
         ("Rules", map(Paragraph, comparison.rules), True),
     ):
         section_blocks = tuple(blocks)
