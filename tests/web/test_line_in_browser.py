@@ -321,6 +321,7 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     page.get_by_role("button", name="Resume the run").click()
     expect(page.locator(".progress")).to_contain_text("Place")
     page.get_by_role("button", name="Emergency stop").click()
+    assert page.locator("#state .board.emergency").count() == 1, "red at once, before anything answers"
     expect(page.locator("#state .outcome")).to_have_text("Emergency stop")
     expect(page.locator(".verdict .reason")).to_have_text("Stopped by an emergency stop by Ada.")
     _reads_at_three_metres(page, "Emergency stop", "ASK-1", "Check the bench")
