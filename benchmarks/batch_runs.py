@@ -24,7 +24,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from cbsr_qa.analysis.run.force import force_tests, learn_without_tests
-from cbsr_qa.analysis.run.long_holds import long_holds
+from cbsr_qa.analysis.run.long_holds import find_long_holds
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.batch.model import learn_batch
 from cbsr_qa.config.documents import DocumentKind
@@ -93,7 +93,7 @@ def learn_model(batch: str, rho: float, earlier: int, seed: int) -> KeptBatch:
     for number in range(earlier):
         run = observe(configure(EARLIER.recipe(), seed + number, batch, rho), f"E{number}")
         loads.append(map_loads(run, learn_without_tests(run)))
-        holds.append(long_holds(run))
+        holds.append(find_long_holds(run))
     model = learn_batch(loads, radius_mm=50.0)
     station = configuration_of(copy_shipped(DocumentKind.STATION, "simulated"), EARLIER.recipe(), seed=0)
     sensors = tuple(

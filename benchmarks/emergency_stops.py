@@ -29,7 +29,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from benchmarks.rows import Row
-from cbsr_qa.app.command_hints import own_command
+from cbsr_qa.app.command_hints import build_own_command
 
 _STATION: Final = Path(__file__).parents[1] / "stations" / "line-1.toml"
 _CERTIFY: Final = (
@@ -64,7 +64,7 @@ class Line:
         self._log = folder / "serve.log"
         with self._log.open("wb") as log:
             self._process = subprocess.Popen(
-                own_command(*arguments),
+                build_own_command(*arguments),
                 cwd=folder,
                 env={**os.environ, "CBSR_QA_VAR": str(folder / "var")},
                 stdout=log,

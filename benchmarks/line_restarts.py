@@ -21,7 +21,7 @@ from statistics import median
 from typing import Any, Final
 from urllib.parse import urlencode
 
-from cbsr_qa.app.command_hints import own_command
+from cbsr_qa.app.command_hints import build_own_command
 
 _TOKEN: Final = "token-of-this-benchmark"
 _SIGNED: Final = {"Authorization": f"Bearer {_TOKEN}"}
@@ -61,7 +61,7 @@ class Server:
         options = [*stations, "--recipe=nine-locations", f"--port={self.port}", f"--token-file={self._folder}/token"]
         environment = {**os.environ, "CBSR_QA_VAR": str(self._folder / "var")}
         with (self._folder / "serve.log").open("ab") as log:
-            program = [*own_command("serve"), *options]
+            program = [*build_own_command("serve"), *options]
             self._process = subprocess.Popen(program, env=environment, stdout=log, stderr=log)
         while True:
             with suppress(OSError, HTTPException):

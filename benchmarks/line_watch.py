@@ -28,7 +28,7 @@ from urllib.parse import urlencode
 import numpy as np
 
 from benchmarks.rows import Row
-from cbsr_qa.app.command_hints import own_command
+from cbsr_qa.app.command_hints import build_own_command
 
 _STATIONS: Final = Path(__file__).parents[1] / "stations"
 _CHROMIUM: Final = Path("/usr/bin/chromium")
@@ -92,7 +92,7 @@ class Line:
             (folder / f"{name}.toml").write_text(text.replace(f'"{kind}"', f'"{name}"'), encoding="utf-8")
         self._environment = {**os.environ, "CBSR_QA_VAR": str(folder / "var")}
         self._log = (folder / "serve.log").open("wb")
-        program = [*own_command("serve"), f"--recipe={recipe}", "--port=0"]
+        program = [*build_own_command("serve"), f"--recipe={recipe}", "--port=0"]
         self.process = subprocess.Popen(
             [*program, *(f"--station={name}.toml" for name in self.names)],
             cwd=folder,
@@ -147,7 +147,7 @@ class Line:
     def close(self) -> None:
         """Stop all runs and the server."""
         for name in self.names:
-            stop = own_command("station", "stop", name)  # also where the server has ended already
+            stop = build_own_command("station", "stop", name)  # also where the server has ended already
             subprocess.run(stop, env=self._environment, capture_output=True, check=False)
         self.process.terminate()
         self.process.wait(30)

@@ -165,7 +165,7 @@ def forecast_skin(labelled: LabelledPresses) -> Iterator[SkinForecast]:
         order = np.random.default_rng([seed, 77]).permutation(total)
         reached_mm.append(float(try_presses(labelled, order[800:1700], order[:800]).error_mm.mean()))
     for seed, quick in ((1, True), (2, True), (1, False)):
-        recording = labelled.some(np.sort(np.random.default_rng([seed, 78]).permutation(total)[:500]))
+        recording = labelled.select(np.sort(np.random.default_rng([seed, 78]).permutation(total)[:500]))
         trials: dict[int, list[Trial]] = {}
         for learned, located in draw_rows(np.arange(500), quick=quick):
             trials.setdefault(len(learned), []).append(try_presses(recording, learned, located))

@@ -60,7 +60,7 @@ class Sheet:
         places = somewhere(self.random, _CALIBRATED)
         found = learned(pressed(self.random, response, places, self.random.uniform(*_FORCES_N, _CALIBRATED)))
         self.calibration: Calibration = in_use(found.model, found.line)
-        design = SheetDesign.plain(load_sensor_type("disc-100mm").value, HEAD)
+        design = SheetDesign.make_uniform(load_sensor_type("disc-100mm").value, HEAD)
         design.response.append(response)
         ohm = load_material("cbsr-8wt").value.interelectrode_resistance_ohm.value
         self._elements = SimulatedSheet(design, size_mm=5.0, interelectrode_resistance_ohm=ohm)

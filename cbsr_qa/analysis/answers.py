@@ -72,7 +72,7 @@ def _number(value: object) -> object:
     return number if exact and math.isfinite(number) else _WRONG
 
 
-def _whole(value: object) -> object:
+def _read_whole_number(value: object) -> object:
     if value is None:
         return None
     if isinstance(value, bool) or not isinstance(value, Integral) or not 0 <= int(value) <= _LARGEST:
@@ -96,7 +96,7 @@ _NAMED: Final = (
     f"text of 1 to {LONGEST_TEXT} characters without control characters",
 )
 _NUMBER: Final = (_number, "a finite real number that a float holds exactly, or None")
-_WHOLE: Final = (_whole, f"a whole number from 0 to {_LARGEST}, or None")
+_WHOLE: Final = (_read_whole_number, f"a whole number from 0 to {_LARGEST}, or None")
 
 #: Field → conversion to a plain value, and what is allowed in words.
 _FIELDS: Final[dict[str, tuple[Callable[[object], object], str]]] = {

@@ -28,7 +28,7 @@ from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import LoadMetric, RunMetric
 from cbsr_qa.system.clock import Stages
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -83,7 +83,7 @@ def evaluate_run(
     reconstruction = create_plugin(plugins, Kind.RECONSTRUCTION, recipe.reconstruction, "[reconstruction]")
     metrics = {choice.name: create_plugin(plugins, Kind.METRIC, choice, "[metrics]") for choice in recipe.metrics}
     try:
-        with stages.stage("imaging"), come_back_once():
+        with stages.stage("imaging"), end_forked_copies():
             observation = observe_run(record, reconstruction, recipe.analysis)
             observation = replace(observation, standards=tuple(standards))
     except BaseException as error:  # noqa: BLE001 - a plugin may raise anything, and the run is stored
@@ -205,7 +205,7 @@ def measure_run(
     failure_by_metric: dict[str, str] = {}
     for name in sorted(metrics, key=lambda name: getattr(type(metrics[name]), "needs_force", False) is True):
         try:
-            with come_back_once():
+            with end_forked_copies():
                 measurements_by_metric[name] = ask(metrics[name], observation)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             failure_by_metric[name] = f"metric {name} failed and measured nothing: {failure(error)}"
@@ -261,13 +261,13 @@ def ask(metric: LoadMetric | RunMetric, observation: RunObservation) -> list[Mea
         for load in observation.loads:
             measurements += validate_answer(metric.measure_load(load, observation))
             if load.alternate is not None:
-                measurements += _other_reference(metric, load.alternate, observation)
+                measurements += _measure_other_reference(metric, load.alternate, observation)
     if isinstance(metric, RunMetric):
         measurements += validate_answer(metric.measure_run(observation))
     return measurements
 
 
-def _other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
+def _measure_other_reference(metric: LoadMetric, load: LoadObservation, run: RunObservation) -> list[Measurement]:
     """Measure a load relative to the reference that the recipe did not choose; reported, never judged."""
     reference = "before the press" if run.settings.reference == "run" else "unloaded run"
     return [

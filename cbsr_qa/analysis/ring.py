@@ -216,7 +216,7 @@ def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     limit = allowed.gain + allowed.tolerance
     finding = "readings over closed form × current, all together"
     remedy = "check the ring's resistance, then the source's current and the meter's calibration"
-    ok, allowed_words = abs(fit.gain_error) <= limit, _within(100 * limit, "%")
+    ok, allowed_words = abs(fit.gain_error) <= limit, _format_range(100 * limit, "%")
     return _line("gain error", ok, 100 * fit.gain_error, "%", allowed_words, finding, remedy)
 
 
@@ -225,7 +225,7 @@ def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
         return _skip_check("offset", "the pattern cannot separate offset and gain")
     if fit.gain_error is None:
         return _line("offset", True, fit.offset, unit, "", _UNKNOWN, "")
-    ok, allowed_words = abs(fit.offset) <= allowed.offset_V, _within(1e3 * allowed.offset_V, "mV")
+    ok, allowed_words = abs(fit.offset) <= allowed.offset_V, _format_range(1e3 * allowed.offset_V, "mV")
     remedy = "zero the meter; look for a thermal voltage or a ground loop in the measuring pair"
     return _line("offset", ok, 1e3 * fit.offset, "mV", allowed_words, "common to all readings", remedy)
 
@@ -238,7 +238,7 @@ def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     value = float(fit.lead_ohm[worst_electrode])
     finding = f"largest at electrode {worst_electrode}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
     ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst_electrode}"
-    return _line(name, ok, value, "ohm", _within(allowed.lead_ohm, "Ω"), finding, remedy)
+    return _line(name, ok, value, "ohm", _format_range(allowed.lead_ohm, "Ω"), finding, remedy)
 
 
 def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
@@ -249,7 +249,7 @@ def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: Ref
     finding = f"{pair_words(pattern, (int(drive), int(measure)))}: {_number(mean)} {unit} where"
     finding += f" {_number(expected)} {unit} is expected; gain, offset and leads are removed"
     remedy = "" if ok else _cause(fit, ring, pattern, limit)
-    return _line("worst reading", ok, 100 * residual, "%", _within(100 * limit, "%"), finding, remedy)
+    return _line("worst reading", ok, 100 * residual, "%", _format_range(100 * limit, "%"), finding, remedy)
 
 
 def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
@@ -277,11 +277,17 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
     finding = f"rms over {int(judged_mask.sum())} readings; the noisiest is {noisiest}"
     ok, allowed_words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
     return _line(
-        "noise of a reading", ok, 1e6 * rms, "ppm", allowed_words, finding, "" if ok else _less_noise(rms, allowed)
+        "noise of a reading",
+        ok,
+        1e6 * rms,
+        "ppm",
+        allowed_words,
+        finding,
+        "" if ok else _advise_on_noise(rms, allowed),
     )
 
 
-def _less_noise(rms: float, allowed: ReferenceRing) -> str:
+def _advise_on_noise(rms: float, allowed: ReferenceRing) -> str:
     """Advice on noise that is constant in volts, where small readings make relative noise large."""
     enough_ohm = float(f"{1.05 * float(np.mean(allowed.resistance_ohm)) * rms / allowed.noise:.1e}")
     return (
@@ -294,5 +300,5 @@ def _number(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
-def _within(limit: float, unit: str) -> str:
+def _format_range(limit: float, unit: str) -> str:
     return f"−{limit:.4g} to {limit:.4g} {unit}"

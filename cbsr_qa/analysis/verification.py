@@ -6,7 +6,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects.quality import off_the_line
+from cbsr_qa.analysis.defects.quality import subtract_trend
 from cbsr_qa.analysis.run.loads import load_window
 from cbsr_qa.calibration.fits.relaxation import relaxation_curve
 from cbsr_qa.calibration.fits.steady_state import predict_steady
@@ -170,7 +170,7 @@ class _Reader:
     def noise_ratio(self) -> float:
         """Noise of the unloaded frames about a straight line in time; rows have unit noise in the calibration."""
         rows, time_s = self._rows(self._run.unloaded.voltages), self._run.unloaded.time_s
-        residuals = off_the_line(rows, time_s)
+        residuals = subtract_trend(rows, time_s)
         return float(np.sqrt((residuals**2).sum() / ((len(rows) - 2) * rows.shape[1]))) if len(rows) > 2 else 1.0
 
     def load(self, load: LoadObservation) -> VerifiedLoad | None:

@@ -26,6 +26,6 @@ def _unless_usual(store: Repository) -> str:
     return database_option(None if store.is_at(database_url()) else store.address)
 
 
-def own_command(*arguments: str) -> list[str]:
+def build_own_command(*arguments: str) -> list[str]:
     """Return what starts a command of this program in a process of its own, with the same interpreter."""
     return [sys.executable, "-c", "from cbsr_qa.cli.main import entry; entry()", *arguments]

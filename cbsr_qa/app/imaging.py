@@ -27,7 +27,7 @@ from cbsr_qa.plugin.interfaces import Reconstruction
 from cbsr_qa.report.document import ChosenParameter
 from cbsr_qa.report.draw.images import ImagePanel, image_figure
 from cbsr_qa.report.tables import plural
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 
 #: Largest number of images that are drawn.
 _MOST_DRAWN: Final = 6
@@ -103,10 +103,10 @@ def image_frames(
         scale, doubts = scale_of(unloaded, problem), scale_doubts(unloaded, problem)
     if getattr(method, "absolute", False) and reference is not None:
         problem = imaging_problem(sensor_type, used=used_mask, measured=unloaded / scale)
-    with come_back_once():
+    with end_forked_copies():
         prepared: PreparedReconstruction = method.prepare(problem)
     tell(f"imaging {plural(len(frames), 'frame')}")
-    with come_back_once():
+    with end_forked_copies():
         values = np.asarray(prepared.images(changes(frames.voltages, unloaded, problem, scale)), dtype=np.float64)
     if values.shape != (len(frames), len(problem.mesh.elements)) or not np.isfinite(values).all():
         raise NumericsError(f"{chosen.name} made images of shape {values.shape}, or of values that are not finite")

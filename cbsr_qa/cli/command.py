@@ -195,7 +195,7 @@ def _parameters(run: Callable[..., Any]) -> Iterator[tuple[str, ArgumentInfo | O
 _FLAGS: Final = ("help", "version", "install_completion", "show_completion")
 
 
-def _plain(parameters: list[Any]) -> list[Any]:
+def _hide_types(parameters: list[Any]) -> list[Any]:
     """Remove types and ranges, which typer adds, from help: descriptions state them."""
     for parameter in parameters:
         parameter._get_number_range_help_str = lambda: None
@@ -208,7 +208,7 @@ class PlainCommand(TyperCommand):
     """A command whose help shows no Python types."""
 
     def get_params(self, ctx: Any) -> list[Any]:
-        return _plain(super().get_params(ctx))
+        return _hide_types(super().get_params(ctx))
 
 
 class PlainGroup(TyperGroup):
@@ -221,4 +221,4 @@ class PlainGroup(TyperGroup):
         return super().parse_args(ctx, args)
 
     def get_params(self, ctx: Any) -> list[Any]:
-        return _plain(super().get_params(ctx))
+        return _hide_types(super().get_params(ctx))

@@ -162,10 +162,10 @@ class _Line:
 
     def _test(self, serial: str) -> bool:
         """Run one sensor and show its verdict; False if the input has ended meanwhile."""
-        from cbsr_qa.app.command_hints import own_command
+        from cbsr_qa.app.command_hints import build_own_command
 
         process = subprocess.Popen(
-            own_command("run", *self.options, "--serial", serial, "--json"),
+            build_own_command("run", *self.options, "--serial", serial, "--json"),
             stdin=subprocess.PIPE,
             stdout=subprocess.PIPE,
             stderr=subprocess.PIPE,  # a log of lines: a bar would be torn by what is typed

@@ -153,13 +153,13 @@ def _section(plugin: "PluginReference") -> "Section":
     from cbsr_qa.domain.results.report import Block, Paragraph, Section
     from cbsr_qa.report.tables import text_table
 
-    blocks: list[Block] = [Paragraph(_plain(plugin.summary))]
+    blocks: list[Block] = [Paragraph(_strip_markup(plugin.summary))]
     if plugin.measures:
         rows = [(name, unit) for name, unit in plugin.measures.items()]
         blocks.append(text_table("Measurements.", ("measurement", "unit"), rows))
     if plugin.options:
         options = [
-            (o.name, o.unit, "required" if o.required else o.default, o.allowed, _plain(o.description))
+            (o.name, o.unit, "required" if o.required else o.default, o.allowed, _strip_markup(o.description))
             for o in plugin.options
         ]
         blocks.append(
@@ -174,6 +174,6 @@ def _section(plugin: "PluginReference") -> "Section":
     return Section(f"{plugin.kind.capitalize()} {plugin.name}", tuple(blocks))
 
 
-def _plain(text: str) -> str:
+def _strip_markup(text: str) -> str:
     """Take the markup of docstrings out: roles such as :class: and back-quotes."""
     return re.sub(r":\w+:(?=`)|`", "", text).replace("~", "")

@@ -258,7 +258,7 @@ def canonical_json(content: Any) -> str:
         If a number is not finite.
     """
     return json.dumps(
-        content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=_plain
+        content, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False, default=_serialise
     )
 
 
@@ -268,7 +268,7 @@ def _sensor_rules(sensor_type: Mapping[str, Any]) -> tuple[str, tuple[str, ...]]
     return str(table.get("serial_pattern", "")), tuple(table.get("unique_parts", ()))
 
 
-def _plain(value: object) -> object:
+def _serialise(value: object) -> object:
     if isinstance(value, date | datetime | time):
         return value.isoformat()
     raise TypeError(f"a configuration holds no {type(value).__name__}")

@@ -272,14 +272,14 @@ class RecipeFile(FileModel[Recipe]):
             yield Problem(("analysis", "learn_place"), "is true, but calibrate_phases names no phase to learn from")
         if self.analysis.prior != "none" and not self.recipe.calibrate_phases:
             yield Problem(("analysis", "prior"), "is 'batch', but calibrate_phases names no phase that calibrates")
-        yield from self._way_problems()
+        yield from self._purpose_problems()
         yield from self.analysis.problems()
         for index, limit in enumerate(self.limits):
             yield from limit.problems(index, names)
         yield from version_problems(self.limits_version, self.limits)
         yield from failure_code_problems(self.failure_codes, self.limits, names)
 
-    def _way_problems(self) -> Iterator[Problem]:
+    def _purpose_problems(self) -> Iterator[Problem]:
         """A recipe images sensors, or characterises a material on a strip."""
         if self.characterisation is None:
             if self.reconstruction is None:

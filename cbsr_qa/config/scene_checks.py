@@ -49,7 +49,7 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
         for index, load in enumerate(plan.loads)
         if _clearance_mm(sensor_type, load) < 0
     ]
-    problems += [*_too_soon(plan, timed), *_too_late(plan, timed)]
+    problems += [*_early_problems(plan, timed), *_late_problems(plan, timed)]
     problems += _meeting_heads(plan.indenter, timed)
     if problems:
         raise refusal(loaded.document, sorted(problems, key=lambda problem: problem.path[1]))
@@ -61,11 +61,11 @@ def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
         index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at ({load.x_mm:g}, {load.y_mm:g}) mm is"
         " partly over the sheet's edge; only what lies on the sheet is pressed"
         for index, load in enumerate(plan.loads)
-        if _over_the_edge(plan.indenter, load, sensor_type)
+        if _is_over_edge(plan.indenter, load, sensor_type)
     }
 
 
-def _over_the_edge(head: Indenter, load: SceneLoad, sensor_type: SensorType) -> bool:
+def _is_over_edge(head: Indenter, load: SceneLoad, sensor_type: SensorType) -> bool:
     if not head.outline_mm:
         return _clearance_mm(sensor_type, load) < head.radius_mm
     corners = head.footprint_at(*load.place_mm).outline_mm()
@@ -78,7 +78,7 @@ def _clearance_mm(sensor_type: SensorType, load: SceneLoad) -> float:
     return float(sensor_type.outline.clearance_mm(np.array([load.place_mm]))[0])
 
 
-def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
+def _early_problems(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
     """Yield loads that begin before their head can be there; every head waits over the centre at first."""
     latest_by_head: dict[int, _Timed] = {}
     for press in sorted(timed, key=lambda each: each[1].start_s):
@@ -94,20 +94,20 @@ def _too_soon(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
 
 
 def _why_too_soon(load: SceneLoad, before: _Timed | None, free_s: float, way_s: float) -> str:
-    earliest = f"the earliest start that works is {_up(free_s + way_s)}"
+    earliest = f"the earliest start that works is {_round_up(free_s + way_s)}"
     if before is None:
-        return f"head {load.head} needs {_up(way_s)} s from over the centre to the surface here: {earliest}"
+        return f"head {load.head} needs {_round_up(way_s)} s from over the centre to the surface here: {earliest}"
     busy = f"head {load.head} is busy with loads[{before[0] + 1}] until {free_s:.2f} s"
     return f"{busy} and needs {way_s:.2f} s from there to the surface here: {earliest}"
 
 
-def _too_late(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
+def _late_problems(plan: ScenePlan, timed: list[_Timed]) -> Iterator[Problem]:
     if plan.duration_s is None:
         return
     for index, load, times in timed:
         if times.up_s > plan.duration_s + _ROUNDING_S:
             finding = f"is {plainly(load.hold_s)}; after it the head is up at {times.up_s:.2f} s"
-            allowed = f"recording.duration_s is {plan.duration_s:g}; it must be at least {_up(times.up_s)}"
+            allowed = f"recording.duration_s is {plan.duration_s:g}; it must be at least {_round_up(times.up_s)}"
             yield Problem(("loads", index, "hold_s"), f"{finding}, when the recording is over: {allowed}")
 
 
@@ -129,7 +129,9 @@ def _why_meeting(head: Indenter, one: _Timed, other: _Timed) -> str:
     collision = (
         f"puts head {load.head} {distance}, where head {standing.head} is down until {standing_times.up_s:.2f} s"
     )
-    remedy = f"move one of them, or start this one at {_up(standing_times.up_s + times.touches_s - times.leaves_s)}"
+    remedy = (
+        f"move one of them, or start this one at {_round_up(standing_times.up_s + times.touches_s - times.leaves_s)}"
+    )
     return f"{collision}: two heads ({head.words()}) would overlap; {remedy}"
 
 
@@ -141,6 +143,6 @@ def _overlap(head: Indenter, load: SceneLoad, other: SceneLoad) -> bool:
     return bool(shared > 1e-9 * head.area_mm2)
 
 
-def _up(time_s: float) -> str:
+def _round_up(time_s: float) -> str:
     """Round a time up so that the printed value works."""
     return f"{math.ceil(100 * time_s - 1e-6) / 100:.2f}"

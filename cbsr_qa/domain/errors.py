@@ -33,7 +33,7 @@ class RowProblem:
             object.__setattr__(self, "what", f"{self.what[:LONGEST_PROBLEM]}… ({len(self.what)} characters)")
 
 
-def off_command_line(words: str) -> str:
+def drop_command_lines(words: str) -> str:
     """Return a remedy without its lines that only help at the command line."""
     return "\n".join(line for line in words.splitlines() if not line.startswith(AT_COMMAND_LINE))
 

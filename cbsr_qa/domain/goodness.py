@@ -47,7 +47,7 @@ class Goodness:
             float(share_explained((energy - residual) @ weight, residual @ weight, variance * weight.sum()))
             for weight in (np.ones_like(sigma), sigma**2)
         )
-        unlike = unlike_model((energy - residual).sum() / variance, residual.sum() / variance, len(change))
+        unlike = deviates_from_model((energy - residual).sum() / variance, residual.sum() / variance, len(change))
         return cls(weighted, unweighted, in_model=not unlike)
 
 
@@ -64,7 +64,7 @@ def share_explained(gain: Array, left: Array, noise: float) -> Array:
     return share
 
 
-def unlike_model(gain: Array, left: Array, freedom: float, allowance: float = ALLOWANCE) -> Mask:
+def deviates_from_model(gain: Array, left: Array, freedom: float, allowance: float = ALLOWANCE) -> Mask:
     """Whether a model leaves more than noise and an allowance account for.
 
     Parameters

@@ -34,10 +34,10 @@ class Images(Result[ImagedFrames]):
 
     def plot(self, axes: "Axes | None" = None, *, frame: int = -1) -> "Axes":
         """Draw one image with its electrodes; returns the axes."""
-        from cbsr_qa.interface.plots import own_axes
+        from cbsr_qa.interface.plots import make_axes
         from cbsr_qa.report.draw.images import ImagePanel, draw_image
 
-        axes = own_axes() if axes is None else axes
+        axes = make_axes() if axes is None else axes
         draw_image(axes, ImagePanel("", Image(self.mesh, self.values[frame])), self.result.sensor_type)
         return axes
 

@@ -15,7 +15,7 @@ if TYPE_CHECKING:
 _MAX_NAMED = 24
 
 
-def own_axes() -> "Axes":
+def make_axes() -> "Axes":
     """Return axes of a new figure."""
     from matplotlib import pyplot
 
@@ -34,6 +34,6 @@ def plot_run(record: RunRecord, axes: "Axes | None") -> "Axes":
     spans = [
         Span(load.hold_start_s / 60, load.release_start_s / 60, load.load.label if named else "") for load in loads
     ]
-    axes = own_axes() if axes is None else axes
+    axes = make_axes() if axes is None else axes
     draw_timeline(axes, traces, spans, time_label="time [min]")
     return axes

@@ -5,7 +5,7 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any, Final
 
 from cbsr_qa.app.export.formats import ExportTable
-from cbsr_qa.app.export.tables import whole_table
+from cbsr_qa.app.export.tables import read_whole_table
 from cbsr_qa.app.shift.lists import ListRequest
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.store.opening import open_store
@@ -21,7 +21,7 @@ def table_of(url: str, request: ListRequest, table: ExportTable) -> "pd.DataFram
     """Return a table of the selected runs: the columns of ``cbsr-qa export --table``."""
     pandas = notebook_library("pandas", f"a table of {table}")
     with open_store(url, create=False) as store:
-        columns, rows = whole_table(store, request, table)
+        columns, rows = read_whole_table(store, request, table)
     values: dict[str, Any] = {name: [row[n] for row in rows] for n, name in enumerate(columns)}
     made = {name: pandas.Series(values[name], dtype=_KINDS.get(kind, "object")) for name, kind in columns.items()}
     return pandas.DataFrame(made)

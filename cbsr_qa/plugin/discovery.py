@@ -15,7 +15,7 @@ import cbsr_qa.plugin.hooks as hookspecs
 from cbsr_qa.domain.errors import AbortedError, PluginError
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import PROJECT, Emulator, Example, Kind
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 from cbsr_qa.system.words import describe_error
 
 Factory = Callable[..., Any]
@@ -84,7 +84,7 @@ class Plugins:
             raise self.unknown(kind, name)
         module, _, attribute = registration.target.partition(":")
         try:
-            with come_back_once():
+            with end_forked_copies():
                 factory: Factory = getattr(importlib.import_module(module), attribute)
         except BaseException as error:
             raise PluginError(
@@ -110,7 +110,7 @@ class Plugins:
         """
         for implementation in getattr(self.manager.hook, hook).get_hookimpls():
             try:
-                with come_back_once():
+                with end_forked_copies():
                     implementation.function(**{name: arguments[name] for name in implementation.argnames})
             except BaseException as error:
                 if may_abort and isinstance(error, AbortedError):
@@ -134,7 +134,7 @@ class Plugins:
         def call(number: int) -> None:
             one = implementations[number]
             try:
-                with come_back_once():
+                with end_forked_copies():
                     answers[number] = one.function(**{name: arguments[name] for name in one.argnames}), ""
             except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
                 answers[number] = None, describe_error(error)
@@ -176,13 +176,13 @@ class Plugins:
             for implementation in getattr(self.manager.hook, hook).get_hookimpls()
             if implementation.plugin_name.startswith(f"{registration.distribution}:")
         )
-        with come_back_once():
+        with end_forked_copies():
             return next((answer for answer in answers if answer is not None), None)
 
     def load(self, point: EntryPoint, distribution: str, version: str) -> None:
         """Import the module of an entry point and take it in; a failure is kept."""
         try:
-            with come_back_once():
+            with end_forked_copies():
                 module = point.load()
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             self.failures.append(PluginFailure(distribution, point.name, failure(error)))
@@ -205,7 +205,7 @@ class Plugins:
             self.manager.register(plugin, name=f"{distribution}:{entry_point}")
             hook = getattr(plugin, "cbsr_register", None)
             if hook is not None:
-                with come_back_once():
+                with end_forked_copies():
                     hook(register)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             if self.manager.is_registered(plugin):

@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 
 from cbsr_qa.domain.errors import CbsrError, PluginError
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 from cbsr_qa.system.words import describe_error
 
 
@@ -41,7 +41,7 @@ def blame_plugin(who: str) -> Iterator[None]:
         Naming the plugin, for every error that is not of this package on purpose; those pass as they are.
     """
     try:
-        with come_back_once():
+        with end_forked_copies():
             yield
     except CbsrError:
         raise

@@ -17,14 +17,14 @@ from cbsr_qa.system.words import format_key_path
 Array: Final = Field(strict=False)
 
 
-def _whole(value: Any) -> Any:
+def _require_whole(value: Any) -> Any:
     if type(value) is not int:
         raise ValueError("it must be a whole number")
     return value
 
 
 #: For a choice of whole numbers, e.g. ``Annotated[Literal[0, 1, 2], WholeNumber]``: pydantic alone takes true for 1.
-WholeNumber: Final = BeforeValidator(_whole)
+WholeNumber: Final = BeforeValidator(_require_whole)
 
 
 class PluginOptions(CheckedTable):

@@ -19,7 +19,7 @@ from cbsr_qa.plugin.interfaces import ReportSection
 from cbsr_qa.report.heads import recording_page, run_page
 from cbsr_qa.report.section import limit_blocks
 from cbsr_qa.report.svg import check_svg
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 from cbsr_qa.system.files import write_atomically, writing
 from cbsr_qa.system.foreign import open_foreign
 
@@ -214,7 +214,7 @@ def _render_each(
 def _section_shown(section: ReportSection, result: RunResult | RecordingResult, anchor: str) -> _Shown | str | None:
     """Render one section; return a warning where it fails."""
     try:
-        with come_back_once():
+        with end_forked_copies():
             content = section.render(result)
             if content is None:
                 return None

@@ -20,7 +20,7 @@ from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import ReportSection
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 
 #: Sections of the leading pages of every run's report.
 LEADING: Final = ("decision", "overview", "station-check", "traceability")
@@ -140,7 +140,7 @@ def load_sections(names: tuple[str, ...], plugins: Plugins) -> tuple[list[Report
     warnings: list[str] = []
     for name in names or plugins.list_names(Kind.SECTION):
         try:
-            with come_back_once():
+            with end_forked_copies():
                 sections.append(plugins.factory(Kind.SECTION, name)())
         except BaseException as error:  # noqa: BLE001 - a plugin's constructor may raise anything
             warnings.append(f"The report section {name} is left out: {failure(error)}")

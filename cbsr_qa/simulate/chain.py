@@ -15,7 +15,7 @@ from cbsr_qa.domain.readings.frames import ReadingFlag
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.plugin.interfaces import AnyEffect, Effect, RecordingEffect, SheetEffect, SwitchingEffect
 from cbsr_qa.plugin.options import options_of
-from cbsr_qa.system.copies import come_back_once, end_copy
+from cbsr_qa.system.copies import end_copy, end_forked_copies
 from cbsr_qa.system.words import quote_value
 
 #: ``effect_factory(name)`` returns the factory of an effect: ``factory(setting, **parameters)``.
@@ -144,7 +144,7 @@ def _is_finite(stage: str, moment: Moment) -> bool:
 @contextmanager
 def _blame_effect(name: str) -> Iterator[None]:
     try:
-        with come_back_once():
+        with end_forked_copies():
             yield
     except CbsrError:
         raise
@@ -179,7 +179,7 @@ def build_chain(scene: Scene, setting: SceneSetting, effect_factory: EffectFacto
 def _make(scene: str, choice: PluginChoice, setting: SceneSetting, factory: Callable[..., Any]) -> AnyEffect:
     try:
         options_of(factory, handed=1).read(choice.options)
-        with come_back_once():
+        with end_forked_copies():
             effect: AnyEffect = factory(setting, **choice.options)
     except CbsrError as error:
         raise ConfigError(f"scene {scene!r}, effect {choice.name!r}: {error.reason}", remedy=error.remedy) from error

@@ -179,15 +179,15 @@ class SimulatedHead:
         surface = self._surface_mm()
         self._speed_mm_s = speed_mm_s
         if self._depth_mm < surface - CLEARANCE_MM:
-            self._go(surface - CLEARANCE_MM, self._motion.travel_speed_mm_s)
-        self._go(surface + depth_mm, speed_mm_s)
+            self._move(surface - CLEARANCE_MM, self._motion.travel_speed_mm_s)
+        self._move(surface + depth_mm, speed_mm_s)
 
     def lift(self) -> None:
         """Move to the hover height: out of the sheet at the speed of the press, then faster."""
         clear = self._surface_mm() - CLEARANCE_MM
         if self._depth_mm > clear:
-            self._go(clear, self._speed_mm_s)
-        self._go(self._up_mm, self._motion.travel_speed_mm_s)
+            self._move(clear, self._speed_mm_s)
+        self._move(self._up_mm, self._motion.travel_speed_mm_s)
 
     def drop_everything(self) -> None:
         """Start lifting at the travel speed and return; the next movement waits for the lift."""
@@ -198,7 +198,7 @@ class SimulatedHead:
         """Go down to where the search for the surface begins."""
         self.lift()
         self._speed_mm_s = self._motion.press_speed_mm_s
-        self._go(-SEARCH_FROM_MM, self._motion.travel_speed_mm_s)
+        self._move(-SEARCH_FROM_MM, self._motion.travel_speed_mm_s)
 
     def find_surface(self, read_force_N: Callable[[float], float]) -> float:
         """Step down until the contact force, and extrapolate the force–depth line to zero; the head has approached.
@@ -224,7 +224,7 @@ class SimulatedHead:
                 raise self._surface_error(
                     f"no contact force of {_CONTACT_FORCE_N:g} N down to {_SEARCH_DEPTH_MM:g} mm below nominal"
                 )
-            self._go(self._depth_mm + SEARCH_STEP_MM, self._motion.press_speed_mm_s)
+            self._move(self._depth_mm + SEARCH_STEP_MM, self._motion.press_speed_mm_s)
             self._clock.sleep(SEARCH_DWELL_S)
             depths.append(self._depth_mm)
             forces.append(read_force_N(SEARCH_DWELL_S))
@@ -245,7 +245,7 @@ class SimulatedHead:
             return 0.0
         return self._found[min(self._found, key=lambda place: math.dist(place, self._place))]
 
-    def _go(self, depth_mm: float, speed_mm_s: float) -> None:
+    def _move(self, depth_mm: float, speed_mm_s: float) -> None:
         self._clock.sleep(self._free_at_s - self._clock.now())
         self._clock.sleep(self._start(depth_mm, speed_mm_s) - self._clock.now())
 

@@ -81,7 +81,7 @@ class SimulatedWorld:
                 f"scene {scene.name!r}: sheet_mesh_size_mm is {scene.sheet_mesh_size_mm:g}",
                 remedy=f"it must be at least {finest_mm:g} on this sheet",
             )
-        design = SheetDesign.plain(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
+        design = SheetDesign.make_uniform(self.setting.sensor_type, self.setting.indenter, contact_length_mm)
         self.chain.design(design)
         return SimulatedSheet(
             design,

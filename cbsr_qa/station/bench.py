@@ -26,7 +26,7 @@ from cbsr_qa.plugin.instruments import (
     SourceMeter,
 )
 from cbsr_qa.system.clock import RealClock
-from cbsr_qa.system.copies import come_back_once, end_copy
+from cbsr_qa.system.copies import end_copy, end_forked_copies
 
 #: Longest wait for one instrument before the next is called as well [s, real time].
 PATIENCE_S: Final = 0.25
@@ -56,7 +56,7 @@ class _Call:
 
     def run(self) -> None:
         try:
-            with come_back_once():
+            with end_forked_copies():
                 self._action()
         except BaseException as error:  # noqa: BLE001 - nothing one instrument does may stop the others
             self.why = f"{type(error).__name__}: {error}"

@@ -248,9 +248,9 @@ class _DryWalk:
             case Hold():
                 yield from self._hold(step)
             case _:
-                yield from self._other(step)
+                yield from self._dry_run_other(step)
 
-    def _other(self, step: Step) -> Iterator[Violation]:
+    def _dry_run_other(self, step: Step) -> Iterator[Violation]:
         match step:
             case Home():
                 self.spent.add(

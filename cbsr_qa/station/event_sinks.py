@@ -16,7 +16,7 @@ from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.station.documents import Warn
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 from cbsr_qa.system.words import describe_error
 
 #: Most events that wait for a sink; beyond it the oldest are lost.
@@ -139,7 +139,7 @@ class Delivery:
             else:
                 self._pause(pause_s)
                 pause_s = min(2 * pause_s, _LONGEST_PAUSE_S)
-        with suppress(BaseException), come_back_once():  # a plugin's code may raise anything
+        with suppress(BaseException), end_forked_copies():  # a plugin's code may raise anything
             self._sink.close()
 
     def _wait_for_batch(self) -> list[Message]:
@@ -157,7 +157,7 @@ class Delivery:
         """Deliver a batch, and keep the reason of a failure; False if the batch is to be sent again."""
         reason, dropped = "", 0
         try:
-            with come_back_once():
+            with end_forked_copies():
                 self._sink.deliver(batch)
         except BaseException as error:  # noqa: BLE001 - a plugin's code may raise anything
             reason = describe_error(error)

@@ -62,7 +62,7 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         reason, detail = before
         if isinstance(error, AbortedError | KeyboardInterrupt):
             return reason, f"{detail}; {at_once or SECOND_SIGNAL} ended it at once"
-        return reason, f"{detail}; lifting the head failed: {_what(error)}"
+        return reason, f"{detail}; lifting the head failed: {_describe_error(error)}"
     if isinstance(error, AbortedError | KeyboardInterrupt):
         stopper = error.by if isinstance(error, AbortedError | Stopped) else "the operator (Ctrl-C)"
         if at_once:
@@ -70,7 +70,7 @@ def ending(error: BaseException, where: str, *, at_once: str = "", before: Endin
         return EndReason.ABORTED, f"by {stopper}, {where}"
     cause = error.error if isinstance(error, BrokenInto) else error
     remedy = f"; {cause.remedy}" if isinstance(cause, CbsrError) and cause.remedy else ""
-    return EndReason.BROKEN, f"{_what(error)}, {where}{remedy}"
+    return EndReason.BROKEN, f"{_describe_error(error)}, {where}{remedy}"
 
 
 def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
@@ -81,10 +81,10 @@ def unsafe(end: Ending, silent: tuple[str, ...]) -> Ending:
     return EndReason.BROKEN, "; ".join([*filter(None, [ending]), *warnings])
 
 
-def _what(error: BaseException) -> str:
+def _describe_error(error: BaseException) -> str:
     match error:
         case BrokenInto():
-            return _what(error.error)
+            return _describe_error(error.error)
         case SafetyError():
             return f"rule {error.rule!r}: {error.reason}"
         case InstrumentError():
@@ -252,7 +252,7 @@ class _Execution:
         try:
             with interrupts.listen():
                 self._desk.open(_Brakes(interrupts, self._watchdog))
-                self._through_or_back(identity)
+                self._execute_or_lift(identity)
         except BaseException as error:  # noqa: BLE001 - after any error the head comes up
             self._reserve.give_back()
             interrupts.mask()
@@ -267,10 +267,10 @@ class _Execution:
         assert self._end is not None
         return unsafe(self._end, silent) if silent else self._end
 
-    def _through_or_back(self, identity: RunIdentity) -> None:
+    def _execute_or_lift(self, identity: RunIdentity) -> None:
         """Execute the plan; if stopped, lift the head as after any press."""
         try:
-            self._through(identity)
+            self._execute_plan(identity)
         except (AbortedError, KeyboardInterrupt) as error:
             urgent_by = self._interrupts.urgent_by
             self._end = ending(error, self.describe_place(), at_once=urgent_by)
@@ -279,7 +279,7 @@ class _Execution:
         else:
             self._end = EndReason.FINISHED, ""
 
-    def _through(self, identity: RunIdentity) -> None:
+    def _execute_plan(self, identity: RunIdentity) -> None:
         self._identity = identity
         self._documents.emit(RunStarted(identity))
         self._prompt.report_to(

@@ -44,12 +44,12 @@ def place_violations(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation
         across = f"{radius_mm:.4g} mm from the centre, which takes a travel of {2 * radius_mm:.4g} mm"
         yield Violation("standard", _describe_range(stage, across))
     if plan.sensor_type.polygon is None:
-        yield from _off_disc(radius_mm, plan)
+        yield from _check_disc(radius_mm, plan)
     else:
-        yield from _off_polygon(x_mm, y_mm, plan)
+        yield from _check_polygon(x_mm, y_mm, plan)
 
 
-def _off_disc(radius_mm: float, plan: Plan) -> Iterator[Violation]:
+def _check_disc(radius_mm: float, plan: Plan) -> Iterator[Violation]:
     head_mm, sheet_mm = plan.indenter.reach_mm, plan.sensor_type.radius_mm
     if not radius_mm + head_mm <= sheet_mm:
         yield Violation(
@@ -59,7 +59,7 @@ def _off_disc(radius_mm: float, plan: Plan) -> Iterator[Violation]:
         )
 
 
-def _off_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
+def _check_polygon(x_mm: float, y_mm: float, plan: Plan) -> Iterator[Violation]:
     head_mm = plan.indenter.reach_mm
     room_mm = float(plan.sensor_type.outline.clearance_mm(np.array([[x_mm, y_mm]]))[0])
     if not room_mm >= head_mm and not _stands_on(x_mm, y_mm, plan):

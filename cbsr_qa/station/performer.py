@@ -29,7 +29,7 @@ from cbsr_qa.station.bench import FRAME_SOURCE
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.limits import Limits
 from cbsr_qa.station.noise import relative_drift
-from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, another_frame, ends_rest
+from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, ends_rest, is_frame_worthwhile
 from cbsr_qa.station.safety import State, UnderWay, Watch
 from cbsr_qa.system.clock import passing, round_to_ticks
 
@@ -189,7 +189,7 @@ class Performer:
         self._documents.emit(RunPaused(before.phase, start_s, asker))
         desk.begin_pause(asker, start_s)
         with self.spent.on(Activity.PAUSE, self._clock):
-            while (continued := desk.who_continued()) is None:
+            while (continued := desk.name_continuer()) is None:
                 station_s = self._watch.wait_s()
                 with self._watchdog.expect("the station's clock", station_s), self._interrupts.idle():
                     passing(self._clock, desk.wait, station_s)
@@ -365,7 +365,7 @@ class Performer:
         with self.spent.on(kind, self._clock):
             if hold.acquire:
                 self._take_frame()
-                while another_frame(end_s - self._clock.now(), self._bench.frame_source.frame_period_s):
+                while is_frame_worthwhile(end_s - self._clock.now(), self._bench.frame_source.frame_period_s):
                     self._take_frame()
             self._wait_until(end_s)
 
@@ -375,7 +375,7 @@ class Performer:
         usable = self._plan.sensor_type.pattern.usable()
         window: deque[FrameBlock] = deque(maxlen=kinematics.SETTLE_FRAMES)
         with self.spent.on(Activity.REST, self._clock):
-            while another_frame(begin_s + rest.hold_s - self._clock.now(), period_s):
+            while is_frame_worthwhile(begin_s + rest.hold_s - self._clock.now(), period_s):
                 window.append(self._take_frame())
                 long_enough = self._clock.now() - begin_s >= rest.least_s and len(window) == window.maxlen
                 if long_enough and relative_drift(join_frames(list(window)), usable) < rest.drift:

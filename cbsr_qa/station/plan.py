@@ -39,7 +39,7 @@ from cbsr_qa.system.copies import end_copy
 WORTHWHILE: Final = 0.1
 
 
-def another_frame(left_s: float, frame_period_s: float) -> bool:
+def is_frame_worthwhile(left_s: float, frame_period_s: float) -> bool:
     """Whether to begin another frame with this much of the hold left."""
     return left_s > WORTHWHILE * frame_period_s
 

@@ -112,7 +112,7 @@ def welch(first: Iterable[float], second: Iterable[float], names: tuple[str, str
     NumericsError
         A group of one, missing values, or no variance in either group.
     """
-    first_summary, second_summary = _both(first, second, names)
+    first_summary, second_summary = _summarise_both(first, second, names)
     variances = [(_deviation(group) ** 2 / group.count, group.count - 1) for group in (first_summary, second_summary)]
     variance = sum(group_variance for group_variance, _ in variances)
     # Relative to the whole, so that squares of tiny variances do not vanish.
@@ -137,7 +137,7 @@ def hedges(
     NumericsError
         A group of one, missing values, or no variance in either group.
     """
-    first_summary, second_summary = _both(first, second, names)
+    first_summary, second_summary = _summarise_both(first, second, names)
     share(confidence, "confidence")
     freedom, tail = first_summary.count + second_summary.count - 2, (1 - confidence) / 2
     root = sqrt(first_summary.count * second_summary.count / (first_summary.count + second_summary.count))
@@ -157,7 +157,9 @@ def pool_deviations(first: Summary, two: Summary) -> float:
     return sqrt(squares / (first.count + two.count - 2))
 
 
-def _both(first: Iterable[float], second: Iterable[float], names: tuple[str, str]) -> tuple[Summary, Summary]:
+def _summarise_both(
+    first: Iterable[float], second: Iterable[float], names: tuple[str, str]
+) -> tuple[Summary, Summary]:
     arrays = [sample(values, name, least=2) for values, name in zip((first, second), names, strict=True)]
     first_summary, second_summary = (summary(array, name) for array, name in zip(arrays, names, strict=True))
     largest = max(abs(first_summary.mean), abs(second_summary.mean))

@@ -144,7 +144,7 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     if count < FEWEST_SENSORS:
         return LotLimits(why=f"too few sensors: {count}; at least {FEWEST_SENSORS} are needed")
     for runs in ([smallest] if ask.lower else []) + ([largest] if ask.upper else []):
-        if why := _nothing_to_go_by(runs):
+        if why := _explain_no_spread(runs):
             return LotLimits(why=why)
     # Distributions to try: a quantity that can be negative is not log-normal.
     positive = min(min(sensor) for sensor in smallest) > 0
@@ -152,7 +152,7 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     distributions = tuple(distribution for distribution in possible if ask.distribution in (None, distribution))
     lower = _find_bound(smallest, distributions, values, ask, -1) if ask.lower else None
     upper = _find_bound(largest, distributions, values, ask, +1) if ask.upper else None
-    far_sensors = _all_far_out(smallest, largest, (lower, upper))
+    far_sensors = _find_far_out(smallest, largest, (lower, upper))
     refusal = next((side for side in (lower, upper) if isinstance(side, str)), "")
     if refusal:
         return LotLimits(why=refusal, far_out=far_sensors)
@@ -161,7 +161,7 @@ def lot_limits(smallest: Runs, largest: Runs, values: int, ask: Ask) -> LotLimit
     return LotLimits(lower, upper, far_out=far_sensors)
 
 
-def _nothing_to_go_by(runs: Runs) -> str:
+def _explain_no_spread(runs: Runs) -> str:
     """Say why the values' spread is unusable; empty otherwise."""
     largest = max(abs(x) for sensor in runs for x in sensor)
     if largest > _LARGEST:
@@ -176,7 +176,7 @@ def _nothing_to_go_by(runs: Runs) -> str:
 
 def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, ask: Ask, sign: int) -> Bound | str:
     """Return the bound of the asked distribution, or of all that the lot may come from, or the reason for none."""
-    if ask.distribution is Distribution.HEAVY and not _mostly_equal(runs):
+    if ask.distribution is Distribution.HEAVY and not _are_mostly_equal(runs):
         heaviest = average_heaviest(_mean_of_sensors(runs), sign)
         return _round_bound(_average_bound(runs, heaviest, values, ask), runs)
     is_large = spacings_outside(len(runs), ask.coverage, ask.confidence) >= ask.sides
@@ -184,7 +184,7 @@ def _find_bound(runs: Runs, looked_at: tuple[Distribution, ...], values: int, as
         return _order_statistic_bound(runs, ask, sign, [])
     candidates, fits = _fit_distributions(runs, looked_at, values, ask, sign)
     families: tuple[FamilyShare, ...] = ()
-    if ask.distribution is None and not _mostly_equal(runs):
+    if ask.distribution is None and not _are_mostly_equal(runs):
         is_positive = Distribution.LOG_NORMAL in looked_at
         lot = average(_mean_of_sensors(runs), sign, values, positive=is_positive)
         families = lot.shares()
@@ -251,7 +251,7 @@ def _mean_of_sensors(runs: Runs) -> Array:
     return np.array([np.mean(sensor) for sensor in runs])
 
 
-def _mostly_equal(runs: Runs) -> bool:
+def _are_mostly_equal(runs: Runs) -> bool:
     """Whether more than half of the sensors have one value: no family has a scale then."""
     means = _mean_of_sensors(runs)
     return not np.median(np.abs(means - np.median(means)))
@@ -304,7 +304,7 @@ def outward(limit: float, mean: float, sign: int) -> float:
     return round(whole_steps / step, max(decimals, 0))
 
 
-def _all_far_out(smallest: Runs, largest: Runs, bounds: Sequence[Bound | str | None]) -> tuple[int, ...]:
+def _find_far_out(smallest: Runs, largest: Runs, bounds: Sequence[Bound | str | None]) -> tuple[int, ...]:
     sensors: set[int] = set()
     for runs, bound in zip((smallest, largest), bounds, strict=True):
         if bound is None:

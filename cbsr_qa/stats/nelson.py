@@ -82,7 +82,7 @@ def _last(flags: Flags, window: int) -> NDArray[np.intp]:
     return ends
 
 
-def _lasting(flags: Flags, window: int) -> Flags:
+def _find_lasting(flags: Flags, window: int) -> Flags:
     """Return where all of the last ``window`` flags are set."""
     is_lasting: Flags = _last(flags, window) == window
     return is_lasting
@@ -98,22 +98,26 @@ def _turns(z: Array) -> Flags:
     return np.concatenate([[False], steps[1:] * steps[:-1] < 0])[: len(z)]
 
 
-def _either(test: Callable[[Array], Flags]) -> Callable[[Array], Flags]:
+def _test_both_sides(test: Callable[[Array], Flags]) -> Callable[[Array], Flags]:
     return lambda z: test(z) | test(-z)
 
 
-def _most_beyond(z: Array, line: float, least: int, window: int) -> Flags:
+def _flag_beyond(z: Array, line: float, least: int, window: int) -> Flags:
     return (z > line) & (_last(z > line, window) >= least)
 
 
 #: The tests, each with its probability of a false alarm at a point.
 _TESTS: Final[dict[Rule, Callable[[Array], Flags]]] = {
     Rule.BEYOND: lambda z: np.abs(z) > 3,  # 0.0027
-    Rule.SAME_SIDE: _either(lambda z: _lasting(z > 0, 9)),  # 2/2⁹ = 0.0039
-    Rule.TREND: _either(lambda z: _lasting(_steps(z) > 0, 5)),  # 2/6! = 0.0028
-    Rule.ALTERNATING: lambda z: _lasting(_turns(z), 12),  # 2 E₁₄/14! = 0.0046, E₁₄ alternating orders
-    Rule.TWO_OF_THREE: _either(lambda z: _most_beyond(z, 2, 2, 3)),  # 2 q (1 − (1 − q)²) = 0.0020, q = 0.0228
-    Rule.FOUR_OF_FIVE: _either(lambda z: _most_beyond(z, 1, 4, 5)),  # 2 q P(3 or 4 of 4) = 0.0044, q = 0.159
-    Rule.HUGGING: lambda z: _lasting(np.abs(z) < 1, 15),  # 0.683¹⁵ = 0.0033
-    Rule.AVOIDING: lambda z: _lasting(np.abs(z) > 1, 8),  # 0.317⁸ = 0.0001
+    Rule.SAME_SIDE: _test_both_sides(lambda z: _find_lasting(z > 0, 9)),  # 2/2⁹ = 0.0039
+    Rule.TREND: _test_both_sides(lambda z: _find_lasting(_steps(z) > 0, 5)),  # 2/6! = 0.0028
+    Rule.ALTERNATING: lambda z: _find_lasting(_turns(z), 12),  # 2 E₁₄/14! = 0.0046, E₁₄ alternating orders
+    Rule.TWO_OF_THREE: _test_both_sides(
+        lambda z: _flag_beyond(z, 2, 2, 3)
+    ),  # 2 q (1 − (1 − q)²) = 0.0020, q = 0.0228
+    Rule.FOUR_OF_FIVE: _test_both_sides(
+        lambda z: _flag_beyond(z, 1, 4, 5)
+    ),  # 2 q P(3 or 4 of 4) = 0.0044, q = 0.159
+    Rule.HUGGING: lambda z: _find_lasting(np.abs(z) < 1, 15),  # 0.683¹⁵ = 0.0033
+    Rule.AVOIDING: lambda z: _find_lasting(np.abs(z) > 1, 8),  # 0.317⁸ = 0.0001
 }

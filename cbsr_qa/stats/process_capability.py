@@ -135,9 +135,9 @@ def capability(
         mean=mean,
         within=within_spread.deviation,
         overall=overall_spread.deviation,
-        cp=_both(within_spread, *limits[1:]),
+        cp=_evaluate_both(within_spread, *limits[1:]),
         cpk=_nearest(within_spread, *limits),
-        pp=_both(overall_spread, *limits[1:]),
+        pp=_evaluate_both(overall_spread, *limits[1:]),
         ppk=_nearest(overall_spread, *limits),
         normality=check_normality(pooled),
     )
@@ -201,7 +201,7 @@ def _check_limits(lower: float | None, upper: float | None, what: str) -> None:
         raise NumericsError(f"{what}: the lower limit {lower} is not below the upper one {upper}")
 
 
-def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"], what: str) -> _Spread:
+def _pool_within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"], what: str) -> _Spread:
     """Pool the deviation within subgroups, √(ΣΣ(x − x̄_g)²/(N − k))."""
     count = sum(map(len, arrays))
     freedom = count - len(arrays)
@@ -216,7 +216,7 @@ def _within(arrays: Sequence["np.ndarray[tuple[int, ...], np.dtype[np.float64]]"
 def _find_spreads(arrays: Sequence[Array], what: str, subgroup: str = "") -> tuple[float, _Spread, _Spread]:
     """Return the mean of all values, their deviation within subgroups, and that of all."""
     pooled = sample(np.concatenate(arrays) if arrays else (), what, least=2, spread=True)
-    within, overall = _within(arrays, subgroup or what), _within([pooled], what)
+    within, overall = _pool_within(arrays, subgroup or what), _pool_within([pooled], what)
     mean = subtract_mean(pooled)[0]
     if len(arrays) == 1:
         return mean, within, overall
@@ -242,7 +242,7 @@ def _draw_process(arrays: Sequence[Array], mean: float, within: _Spread) -> tupl
     return means, np.sqrt(within_draws), np.sqrt(between_draws + within_draws)
 
 
-def _both(spread: _Spread, lower: float | None, upper: float | None, confidence: float) -> Index | None:
+def _evaluate_both(spread: _Spread, lower: float | None, upper: float | None, confidence: float) -> Index | None:
     if lower is None or upper is None:
         return None
     narrow, wide = spread.ends((1 - confidence) / 2)

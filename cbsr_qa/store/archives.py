@@ -263,8 +263,8 @@ class Archive:
         self._places: dict[tuple[int, int], tuple[h5py.Group, slice]] = {}
         with _readable():
             self._content = h5py.File(io.BytesIO(data), "r")
-            for name, phase in _own_members(self._content):
-                for _, group in _own_members(phase):
+            for name, phase in _list_own_members(self._content):
+                for _, group in _list_own_members(phase):
                     self._add(int(name.removeprefix("phase-")), group)
 
     def read_all(self) -> None:
@@ -274,13 +274,13 @@ class Archive:
             self.cells(*max(frame_counts, key=frame_counts.__getitem__))
         with _readable():
             for group in {group for group, _ in self._places.values()}:
-                for _, dataset in _own_members(group):
+                for _, dataset in _list_own_members(group):
                     rows = (dataset.chunks or dataset.shape)[0]
                     for start in range(0, len(dataset), max(rows, 1)):
                         dataset[start : start + rows]
 
     def _add(self, phase: int, group: h5py.Group) -> None:
-        arrays = dict(_own_members(group))
+        arrays = dict(_list_own_members(group))
         numbers, counts = arrays.pop("block"), arrays.pop("frames")
         if not numbers.shape == counts.shape == (numbers.size,) or {numbers.dtype.kind, counts.dtype.kind} != {"i"}:
             raise ValueError(f"blocks of the shape {numbers.shape} with frames of the shape {counts.shape}")
@@ -308,7 +308,7 @@ class Archive:
             }
 
 
-def _own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
+def _list_own_members(group: h5py.Group) -> Iterator[tuple[str, Any]]:
     """Yield the members that a group holds itself: HDF5 opens other files for links, and libraries for filters."""
     for name in group:
         item = group[name] if isinstance(group.get(name, getlink=True), h5py.HardLink) else None

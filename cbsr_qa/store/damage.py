@@ -189,7 +189,7 @@ def _first_line(text: str) -> str:
     return text.strip().splitlines()[0] if text.strip() else "no reason given"
 
 
-def foreign_cell(
+def find_foreign_cell(
     connection: Connection, rows: Iterable[tuple[Table, ColumnElement[bool]]], what: str = "the database is damaged"
 ) -> OddCellError | None:
     """Return the error for the first cell that its column cannot hold; None without one.
@@ -222,14 +222,14 @@ def foreign_cell(
 
 def raw_cell(connection: Connection, column: Column[Any]) -> Any:
     """Select a column as it is stored; moments and JSON of PostgreSQL as text, before its driver converts them."""
-    if connection.dialect.name == "postgresql" and isinstance(_plain_type(column), (DateTime, JSON)):
+    if connection.dialect.name == "postgresql" and isinstance(_unwrap_type(column), (DateTime, JSON)):
         return cast(column, Text).label(column.name)
     return type_coerce(column, NullType()).label(column.name)
 
 
 def cell_reader(connection: Connection, column: Column[Any]) -> Callable[[Any], Any]:
     """Return the function that turns a cell of :func:`raw_cell` into a value; it raises :data:`FOREIGN_VALUE`."""
-    kind = _plain_type(column)
+    kind = _unwrap_type(column)
     if connection.dialect.name == "postgresql":  # which checks types itself
         if isinstance(kind, JSON):
             return partial(_json_value, column.name, json.loads)
@@ -245,7 +245,7 @@ def cell_reader(connection: Connection, column: Column[Any]) -> Callable[[Any], 
     return partial(_json_value, column.name, convert) if isinstance(kind, JSON) else convert
 
 
-def _plain_type(column: Column[Any]) -> Any:
+def _unwrap_type(column: Column[Any]) -> Any:
     return getattr(column.type, "impl", column.type)
 
 

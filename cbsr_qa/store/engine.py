@@ -22,7 +22,7 @@ from sqlalchemy import (
 from sqlalchemy.exc import ArgumentError, SQLAlchemyError
 
 from cbsr_qa.domain.errors import AT_COMMAND_LINE, StoreError
-from cbsr_qa.store.damage import FOREIGN_VALUE, foreign_cell, name_database, translate_errors
+from cbsr_qa.store.damage import FOREIGN_VALUE, find_foreign_cell, name_database, translate_errors
 from cbsr_qa.system.foreign import UnfitFileError, check_regular
 
 #: Longest wait of a writer for another one [ms].
@@ -163,12 +163,12 @@ def reading(engine: Engine) -> Iterator[Connection]:
     with translate_errors(engine.url), engine.connect() as connection:
         if connection.dialect.name == "postgresql":  # as in SQLite, commits of others meanwhile are not seen
             connection.execution_options(isolation_level="REPEATABLE READ")
-        with connection.begin(), _foreign_cells_named(connection):
+        with connection.begin(), _name_foreign_cells(connection):
             yield connection
 
 
 @contextmanager
-def _foreign_cells_named(connection: Connection) -> Iterator[None]:
+def _name_foreign_cells(connection: Connection) -> Iterator[None]:
     """Raise StoreError in place of an error caused by a cell of the wrong type."""
     try:
         yield
@@ -176,7 +176,7 @@ def _foreign_cells_named(connection: Connection) -> Iterator[None]:
         from cbsr_qa.store.tables.runs import Base
 
         try:
-            cell_error = foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
+            cell_error = find_foreign_cell(connection, ((table, true()) for table in Base.metadata.sorted_tables))
         except SQLAlchemyError:  # a schema that is being changed lacks tables
             cell_error = None
         raise cell_error or error from error
@@ -193,7 +193,7 @@ def writing(engine: Engine, *, tell: Callable[[str], None] | None = None) -> Ite
     """
     with translate_errors(engine.url), engine.connect() as connection:
         writer = connection.execution_options(cbsr_writes=True)
-        with _begin(writer, tell), _foreign_cells_named(writer):
+        with _begin(writer, tell), _name_foreign_cells(writer):
             yield writer
 
 
@@ -215,7 +215,7 @@ def _begin(writer: Connection, tell: Callable[[str], None] | None) -> RootTransa
 
 
 def _wait_at_most(connection: Connection, timeout_ms: int) -> None:
-    _directly(connection, f"PRAGMA busy_timeout = {timeout_ms}")
+    _execute_directly(connection, f"PRAGMA busy_timeout = {timeout_ms}")
 
 
 def use_write_ahead_log(engine: Engine) -> None:
@@ -272,10 +272,10 @@ def _set_up_sqlite(connection: Any, record: object, *, synchronous: str) -> None
 
 
 def _remember_file(path: Path, _: object, record: Any) -> None:
-    record.info[_FILE] = _which_file(path)
+    record.info[_FILE] = _identify_file(path)
 
 
-def _which_file(path: Path) -> tuple[int, int] | None:
+def _identify_file(path: Path) -> tuple[int, int] | None:
     try:
         status = os.stat(path)  # noqa: PTH116 - called in every transaction; Path.stat takes twice as long
     except OSError:
@@ -295,7 +295,7 @@ def _refuse_copy(process: int, connection: Connection) -> None:
 
 def _refuse_lost_file(path: Path, connection: Connection) -> None:
     """Refuse a deleted or replaced file: SQLite would continue to write into the old one."""
-    opened_file, current_file = connection.info[_FILE], _which_file(path)
+    opened_file, current_file = connection.info[_FILE], _identify_file(path)
     if opened_file in (None, current_file):
         return
     fate = "was deleted or moved away" if current_file is None else "was replaced by another file"
@@ -309,10 +309,10 @@ def _refuse_lost_file(path: Path, connection: Connection) -> None:
 def _begin_sqlite(connection: Connection) -> None:
     # A transaction that will write takes the lock at once: requesting it later can fail without waiting.
     writes = connection.get_execution_options().get("cbsr_writes", False)
-    _directly(connection, "BEGIN IMMEDIATE" if writes else "BEGIN")
+    _execute_directly(connection, "BEGIN IMMEDIATE" if writes else "BEGIN")
 
 
-def _directly(connection: Connection, statement: str) -> None:
+def _execute_directly(connection: Connection, statement: str) -> None:
     """Execute a statement of every transaction; SQLAlchemy takes ten times as long. Raises errors of sqlite3."""
     cursor = connection.connection.cursor()
     try:

@@ -29,7 +29,7 @@ from cbsr_qa.store.engine import reading
 from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.left_out import with_left_out
 from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts, reset_seed
-from cbsr_qa.store.selected import Conditions, conditions, naming_runs
+from cbsr_qa.store.selected import Conditions, conditions, read_naming_runs
 from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, MeasurementRow
 from cbsr_qa.store.tables.runs import DecisionRow, LoadRow, RunRow
 from cbsr_qa.store.types import time_of_id
@@ -92,7 +92,7 @@ class Fleet:
             return FleetTable(tuple(runs), kinds, run, kind, value, state, _places(connection, runs))
 
         with reading(self._engine) as connection:
-            return naming_runs(connection, conditions(selection), table)
+            return read_naming_runs(connection, conditions(selection), table)
 
     def read_ways(self, runs: Sequence[str]) -> dict[str, tuple[CalibrationWay, str]]:
         """Return how the calibration of each run was made, by its configuration and decisions.

@@ -55,14 +55,14 @@ def _read_checks(connection: Connection, runs: Collection[str] | None = None) ->
 
 
 def _problems(connection: Connection, named: Sequence[Row[Any]]) -> dict[str, str]:
-    problem_by_check = {row.check_id: problem for row in named if (problem := _unlike_run(row))}
+    problem_by_check = {row.check_id: problem for row in named if (problem := _describe_mismatch(row))}
     seals = {row.check_id: row.seal for row in named if row.check_id not in problem_by_check}
     return problem_by_check | {
         check: problem for check, (_, problem) in check_seals(connection, seals).items() if problem
     }
 
 
-def _unlike_run(row: Row[Any]) -> str:
+def _describe_mismatch(row: Row[Any]) -> str:
     """Return in words how a check does not fit the run that it names; empty if it fits."""
     made_at, begun_at = time_of_id(str(row.check_id)), time_of_id(str(row.golden_run))
     beginning = f"station check {row.check_id} names run {row.golden_run} as its golden sensor's, and"

@@ -34,7 +34,7 @@ def with_left_out(connection: Connection, selection: RunSelection, selected: Col
     ----------
     selected : runs that the columns select.
     """
-    bounds = _within(selection, selected)
+    bounds = _limit_names(selection, selected)
     hidden = _find_hidden(connection, selection, bounds)
     # A selection by the names of runs alone depends on no column that could have been altered.
     by_name_only = replace(selection, checks=True, after="", up_to="", latest=None) == _ANY
@@ -69,7 +69,7 @@ def _find_altered(connection: Connection, runs: Collection[str]) -> dict[str, st
     return find_altered(connection, dict(zip(rows.runs, rows.columns["chain"], strict=True)), [rows, parts])
 
 
-def _within(selection: RunSelection, selected: Collection[str]) -> Conditions:
+def _limit_names(selection: RunSelection, selected: Collection[str]) -> Conditions:
     """Return the conditions on names of runs that may belong to a selection."""
     bounds: list[ColumnElement[bool]] = []
     if selection.after:

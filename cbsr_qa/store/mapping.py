@@ -24,11 +24,13 @@ def convert_row(kind: type[T], row: Row[Any], /, **others: Any) -> T:
 def row_of(table: Any, source: object, /, **others: Any) -> dict[str, Any]:
     """Return the columns of a table that ``source`` has as attributes; ``others`` take precedence."""
     names = [column.name for column in table.__table__.columns]
-    columns = {name: _plain(getattr(source, name)) for name in names if name not in others and hasattr(source, name)}
+    columns = {
+        name: _as_stored(getattr(source, name)) for name in names if name not in others and hasattr(source, name)
+    }
     return columns | others
 
 
-def _plain(value: Any) -> Any:
+def _as_stored(value: Any) -> Any:
     if isinstance(value, StrEnum):
         return str(value)
-    return [_plain(item) for item in value] if isinstance(value, tuple) else value
+    return [_as_stored(item) for item in value] if isinstance(value, tuple) else value

@@ -50,12 +50,12 @@ class Prepared:
             column_type.result_processor(self._dialect, kind)
             for column_type, kind in zip(self._types, kinds, strict=True)
         ]
-        return tuple(map(_through, converters, row))
+        return tuple(map(_convert_value, converters, row))
 
     def _values(self, row: Mapping[str, Any]) -> Any:
         cells = {**self._fixed, **row}
         try:
-            values = {name: _through(convert, cells[name]) for name, convert in self._converters}
+            values = {name: _convert_value(convert, cells[name]) for name, convert in self._converters}
         except (TypeError, ValueError) as error:
             raise StatementError(str(error), self._text, None, error) from error
         return values if self._order is None else [values[name] for name in self._order]
@@ -70,7 +70,7 @@ class Prepared:
             raise DBAPIError.instance(self._text, None, error, errors, dialect=self._dialect) from error
 
 
-def _through(convert: Callable[[Any], Any] | None, value: Any) -> Any:
+def _convert_value(convert: Callable[[Any], Any] | None, value: Any) -> Any:
     return value if convert is None else convert(value)
 
 

@@ -22,7 +22,7 @@ _UNREADABLE: Final = (*FOREIGN_CELL, OperationalError)
 _BY_NAME: Final = (RunRow.recipe, RunRow.batch, RunRow.station, RunRow.operator)
 
 
-def naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], _T]) -> _T:
+def read_naming_runs(connection: Connection, chosen: Conditions, read: Callable[[Connection, Conditions], _T]) -> _T:
     """Call ``read``; if it fails, raise an error that names the first unreadable run."""
     try:
         return read(connection, chosen)

@@ -103,11 +103,11 @@ class Soundness:
             for row in connection.execute(swapped_query.order_by(CalibrationRow.calibration)):
                 origin = f"calibration {row.calibration} is of sensor {row.serial}"
                 yield f"{origin}; its run {row.run} tested {row.tested}"
-            for run, earlier in _unlike_earlier(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
+            for run, earlier in _find_younger(connection, RunRow.chain.is_not(None), RunRow.chain.is_(None)):
                 yield f"run {run} has no chain, and run {earlier} of its station, which is older, has one"
             if signing_key(connection) is not None:
                 is_signed = RunRow.chain == new_chain(connection)
-                for run, earlier in _unlike_earlier(connection, is_signed, RunRow.chain == PLAIN):
+                for run, earlier in _find_younger(connection, is_signed, RunRow.chain == PLAIN):
                     yield f"run {run} is not signed, and run {earlier} of its station, which is older, is signed"
 
     def check_run(self, run: str, *, frames: bool) -> ChainState:
@@ -161,7 +161,7 @@ class Soundness:
                 yield error.reason
 
 
-def _unlike_earlier(
+def _find_younger(
     connection: Connection, before: ColumnElement[bool], after: ColumnElement[bool]
 ) -> Sequence[Row[str, str]]:
     """Find runs of one kind of chain that are younger than their station's first run of another kind.

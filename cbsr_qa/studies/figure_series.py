@@ -112,8 +112,8 @@ def series_of(runs: Sequence[RunLine], figures: Figures, names: Sequence[str] = 
 def _series(key: MetricKey, runs: Sequence[RunLine], figures: Mapping[str, RunFigure]) -> Series:
     run_figures = [figures[run.run] for run in runs if run.run in figures]
     single_unit_figures = [figure for figure in run_figures if not figure.units] or run_figures
-    unit = _most(figure.unit for figure in single_unit_figures)
-    places = _most(figure.places for figure in single_unit_figures if figure.unit == unit)
+    unit = _find_most_common(figure.unit for figure in single_unit_figures)
+    places = _find_most_common(figure.places for figure in single_unit_figures if figure.unit == unit)
     valued_runs: list[tuple[RunLine, float]] = []
     runs_by_reason: dict[str, list[str]] = {}
     for run in runs:
@@ -139,5 +139,5 @@ def _why_not(figure: RunFigure | None, unit: str, places: int) -> str:
     return "" if figure.places == places else f"the mean of {figure.places} values instead of {places}"
 
 
-def _most(values: Iterable[_T]) -> _T:
+def _find_most_common(values: Iterable[_T]) -> _T:
     return Counter(values).most_common(1)[0][0]

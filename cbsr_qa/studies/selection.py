@@ -169,7 +169,7 @@ def describe_several_ways(ways: Sequence[WayCount]) -> str:
     return "; ".join(f"{counted.way.words} ({plural(counted.runs, 'run')})" for counted in ways)
 
 
-def several_recipes(recipes: Collection[str]) -> str:
+def describe_recipes(recipes: Collection[str]) -> str:
     """Return a clause on runs of several recipes, of which a study needs one."""
     return f"{len(recipes)} recipes: {list_names(sorted(recipes))}"
 

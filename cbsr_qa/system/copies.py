@@ -15,7 +15,7 @@ COPY_ENDED: Final = 70
 
 
 @contextmanager
-def come_back_once() -> Iterator[None]:
+def end_forked_copies() -> Iterator[None]:
     """Call a plugin's code in the body; a forked copy of this process that returns from it ends without clean-up."""
     process = os.getpid()
     try:

@@ -53,7 +53,7 @@ def open_foreign(path: Path, most_bytes: int = LARGEST_FILE) -> BufferedReader:
         status = os.fstat(file)
         check_status(path, status)
         if status.st_size > most_bytes:
-            raise _too_large(path, most_bytes)
+            raise _refuse_size(path, most_bytes)
         return os.fdopen(file, "rb")
     except BaseException:
         os.close(file)
@@ -65,7 +65,7 @@ def read_foreign(path: Path, most_bytes: int) -> bytes:
     with open_foreign(path, most_bytes) as file:
         data = file.read(most_bytes + 1) or b""  # files of the kernel have no size, and may answer None
     if len(data) > most_bytes:
-        raise _too_large(path, most_bytes)
+        raise _refuse_size(path, most_bytes)
     return data
 
 
@@ -109,5 +109,5 @@ def size_in_words(size_bytes: int) -> str:
     return f"{size_bytes} bytes"
 
 
-def _too_large(path: Path, most_bytes: int) -> UnfitFileError:
+def _refuse_size(path: Path, most_bytes: int) -> UnfitFileError:
     return UnfitFileError(errno.EFBIG, f"it is too large: at most {size_in_words(most_bytes)} are read", str(path))

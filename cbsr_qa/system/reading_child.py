@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import Any, Final
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 
 _MEGABYTE: Final = 2**20
 #: Processor time for any file, and more for each megabyte [s]; a megabyte of text takes 1 to 2 s.
@@ -121,7 +121,7 @@ def _message(read: Callable[[], Any], limits: Limits) -> list[Any]:
     """Encode the result of reading: a pickled head, and the arrays' bytes."""
     arrays: list[pickle.PickleBuffer] = []
     try:
-        with come_back_once():  # a format may be a plugin
+        with end_forked_copies():  # a format may be a plugin
             outcome: tuple[Any, ...] = ("read", read())
     except MemoryError:
         outcome = ("memory",)

@@ -59,11 +59,11 @@ class Redelivery:
             return
         self._dropped = True
         # Not from here: the handler would raise within this hook, where Python drops exceptions as well.
-        self._due = threading.Timer(_LATER_S, self._again)
+        self._due = threading.Timer(_LATER_S, self._redeliver)
         self._due.daemon = True
         self._due.start()
 
-    def _again(self) -> None:
+    def _redeliver(self) -> None:
         timer, self._due = self._due, None
         main_thread = threading.main_thread().ident
         if timer is None or main_thread is None:

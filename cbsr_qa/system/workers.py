@@ -19,7 +19,7 @@ def worker_pool(processes: int) -> Iterator[ProcessPoolExecutor]:
     # Spawned: threads of numerical libraries do not survive a fork.
     context = multiprocessing.get_context("spawn")
     earlier_children = multiprocessing.active_children()
-    with _one_thread_each(), ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker) as pool:
+    with _limit_threads(), ProcessPoolExecutor(processes, mp_context=context, initializer=_begin_worker) as pool:
         try:
             yield pool
         except BaseException:
@@ -43,7 +43,7 @@ def delay_interrupts() -> Iterator[None]:
 
 
 @contextmanager
-def _one_thread_each() -> Iterator[None]:
+def _limit_threads() -> Iterator[None]:
     earlier_values = {name: os.environ.get(name) for name in _THREADS}
     os.environ.update(dict.fromkeys(_THREADS, "1"))
     try:

@@ -5,7 +5,7 @@ from typing import Final
 
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.listed import ALTERED, ListedRun
-from cbsr_qa.domain.run.states import EndReason, was_emergency, who_stopped
+from cbsr_qa.domain.run.states import EndReason, name_stopper, was_emergency
 from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.state import Mode, Snapshot
@@ -116,7 +116,7 @@ def reason_words(look: RunLook | None) -> str:
     if look is None:
         return ""
     if look.end is EndReason.ABORTED and look.detail:
-        return text("station.stopped_by", who=who_stopped(look.detail))
+        return text("station.stopped_by", who=name_stopper(look.detail))
     return look.detail if look.end is EndReason.BROKEN and look.detail else describe_decision(look)
 
 

@@ -11,9 +11,9 @@ from functools import cache
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.app.command_hints import own_command
+from cbsr_qa.app.command_hints import build_own_command
 from cbsr_qa.config.paths import var_folder, writable_folder
-from cbsr_qa.domain.errors import ConfigError, off_command_line
+from cbsr_qa.domain.errors import ConfigError, drop_command_lines
 from cbsr_qa.web.guard import LOG
 
 _LOG_NAME: Final = "%Y%m%dT%H%M%S%f"
@@ -55,7 +55,7 @@ class Started:
         start = next((n for n in reversed(range(len(lines))) if lines[n].startswith("cbsr-qa:")), None)
         if start is None and self.process is None:  # the run was not refused so far
             return ""
-        log_lines = off_command_line("\n".join(lines[start:])).splitlines()
+        log_lines = drop_command_lines("\n".join(lines[start:])).splitlines()
         shown_lines = log_lines[-_SHOWN_LINES:] if start is None else log_lines[:_SHOWN_LINES]
         return "\n".join(line.removeprefix("cbsr-qa: ") for line in shown_lines)
 
@@ -88,7 +88,7 @@ def start_run(station: str, arguments: Sequence[str], what: str, pin: str = "") 
     folder = writable_folder(var_folder() / "control" / "logs" / station)
     started_at = datetime.now(UTC)
     log = folder / f"{started_at:{_LOG_NAME}}.log"
-    program = own_command("run", *arguments)
+    program = build_own_command("run", *arguments)
     unit = f"cbsr-qa-run-{station}-{log.stem}".replace(".", "_").replace(" ", "_")
     try:
         for old_log in sorted(folder.glob("*.log"))[: -_KEPT_LOGS or None]:

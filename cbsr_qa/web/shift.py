@@ -16,7 +16,7 @@ from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import metric_words
 from cbsr_qa.domain.results.report import Banner, Figure, Section
-from cbsr_qa.domain.run.states import EndReason, who_stopped
+from cbsr_qa.domain.run.states import EndReason, name_stopper
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.outcomes import describe_decision
 from cbsr_qa.web.texts import refusal_words, text
@@ -118,7 +118,7 @@ def _describe_limit(key: MetricKey) -> str:
 def describe_run(run: ListedRun) -> str:
     """Return the reason of a run's verdict, or who stopped it; without the step, which is in its report."""
     if run.end is EndReason.ABORTED and run.end_detail and not run.altered:
-        return text("station.stopped_by", who=who_stopped(run.end_detail))
+        return text("station.stopped_by", who=name_stopper(run.end_detail))
     return describe_decision(run)
 
 

@@ -6,7 +6,7 @@ from functools import cache
 from importlib.resources import files
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import CbsrError, off_command_line
+from cbsr_qa.domain.errors import CbsrError, drop_command_lines
 
 _FILE: Final = "texts.toml"
 
@@ -27,7 +27,7 @@ def text(key: str, **names: Any) -> str:
 
 def refusal_words(error: CbsrError) -> str:
     """Return the reason of an error and its remedy, in words of a page."""
-    remedy = off_command_line(error.remedy)
+    remedy = drop_command_lines(error.remedy)
     if not remedy.startswith("cbsr-qa"):
         remedy = remedy[:1].upper() + remedy[1:]
     return f"{error.reason}. {remedy}" if remedy else error.reason

@@ -9,7 +9,7 @@ from typing import Final
 
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw.style import BLUE, INK, VERMILION, canvas, dots, draw_svg, plain_ticks, plot
+from cbsr_qa.report.draw.style import BLUE, INK, VERMILION, canvas, dots, draw_svg, place_plain_ticks, plot
 
 PAGE: Final = Path(__file__).resolve().parents[1] / "explanation" / "what-accuracy-costs.md"
 FIGURE: Final = PAGE.parent / "figures" / "frontier" / "minutes.svg"
@@ -42,7 +42,7 @@ def draw_minutes(rows: list[tuple[str, float, float, float]]) -> Canvas:
             name, (minutes, height_N), xytext=shift, textcoords="offset points", ha=aligned, fontsize=7, color=colour
         )
     for axis in (axes.xaxis, axes.yaxis):
-        plain_ticks(axis, _TICKS)
+        place_plain_ticks(axis, _TICKS)
     axes.set_xlim(4, 600)
     axes.set_ylim(0.1, 0.22)
     return figure

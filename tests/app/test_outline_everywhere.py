@@ -115,7 +115,7 @@ def test_the_simulated_head_does_not_travel_off_the_sheet():
 
 
 def test_a_simulated_head_in_the_notch_presses_nothing():
-    sheet = SimulatedSheet(SheetDesign.plain(elbow(), HEAD), size_mm=6.0, interelectrode_resistance_ohm=1e4)
+    sheet = SimulatedSheet(SheetDesign.make_uniform(elbow(), HEAD), size_mm=6.0, interelectrode_resistance_ohm=1e4)
     with pytest.raises(RefusedError, match="is outside the sheet"):
         sheet.voltages({(25.0, 25.0): 0.1})
     pressed = sheet.voltages({(20.0, -15.0): 0.1})

@@ -33,7 +33,7 @@ def setting(material: Material | None = None, *, seed: int = 1) -> SceneSetting:
 @cache
 def plain_sheet() -> SimulatedSheet:
     """The setting's sheet, on a coarse mesh."""
-    design = SheetDesign.plain(setting().sensor_type, setting().indenter)
+    design = SheetDesign.make_uniform(setting().sensor_type, setting().indenter)
     return SimulatedSheet(design, size_mm=8.0, interelectrode_resistance_ohm=1e4)
 
 

@@ -102,7 +102,7 @@ def gone_through(names: list[str]) -> None:
     """Every stage of a few moments."""
     parameters = {name.replace("-", "_"): options for name, options in RANDOM.items()}
     chain = build_chain(scene(*NOT_RANDOM, *names, **parameters), SETTING, installed)
-    chain.design(SheetDesign.plain(sensor_type(), HEAD))
+    chain.design(SheetDesign.make_uniform(sensor_type(), HEAD))
     chain.record(Transcript.complete(SETTING, 2.5 * np.arange(4)))
     for index in (0, 3, 1 << 33):
         moment = Moment(SETTING, 2.5 * (index % 32), index, [], [], [], reading_scale_V=1.0)

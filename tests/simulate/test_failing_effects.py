@@ -72,7 +72,7 @@ def test_an_effect_that_fails_at_a_moment_is_named_with_the_moment(stage):
 
 def test_an_effect_that_fails_on_the_sheet_the_transcript_or_its_steps_is_named():
     with pytest.raises(PluginError, match="effect 'theirs' failed: ZeroDivisionError"):
-        chain_of(theirs("sheet", design=breaks)).design(SheetDesign.plain(sensor_type(), HEAD))
+        chain_of(theirs("sheet", design=breaks)).design(SheetDesign.make_uniform(sensor_type(), HEAD))
     with pytest.raises(PluginError, match="effect 'theirs' failed: ZeroDivisionError"):
         chain_of(theirs("recording", record=breaks)).record(Transcript.complete(SETTING, np.arange(3.0)))
     switching = theirs("impedance", apply=lambda self, moment: None, switches=breaks)

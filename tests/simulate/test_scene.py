@@ -111,13 +111,15 @@ def test_without_effects_voltages_are_the_forward_models():
 def test_the_mean_driven_pair_has_the_materials_resistance(name: str):
     resistance = material(name).interelectrode_resistance_ohm.value
     sheet = SimulatedSheet(
-        SheetDesign.plain(sensor_type(), HEAD), size_mm=5.0, interelectrode_resistance_ohm=resistance
+        SheetDesign.make_uniform(sensor_type(), HEAD), size_mm=5.0, interelectrode_resistance_ohm=resistance
     )
     assert np.diag(sheet.unloaded).mean() == pytest.approx(resistance, rel=1e-12)
 
 
 def test_the_contact_share_is_the_slope_of_the_resistance_in_the_contact_impedance():
-    sheet = SimulatedSheet(SheetDesign.plain(sensor_type(), HEAD), size_mm=5.0, interelectrode_resistance_ohm=1e3)
+    sheet = SimulatedSheet(
+        SheetDesign.make_uniform(sensor_type(), HEAD), size_mm=5.0, interelectrode_resistance_ohm=1e3
+    )
     step = 1e-4
 
     def log_resistance(factor: float) -> float:

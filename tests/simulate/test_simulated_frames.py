@@ -146,13 +146,13 @@ def test_response_by_place_scales_the_change_there():
 def test_rings_of_pressure_add_up():
     """A head in two rings of half the weight is the mean of the two heads, for a change small enough to be linear."""
     rings = (HeadRing(1.2, 0.5), HeadRing(0.8, 0.5))
-    design = SheetDesign.plain(sensor_type(), HEAD)
+    design = SheetDesign.make_uniform(sensor_type(), HEAD)
     design.rings = rings
     soft = SimulatedSheet(design, size_mm=5.0, interelectrode_resistance_ohm=1e4)
     place = {(14.0, 3.0): 1e-4}
     parts = []
     for ring in rings:
-        plain = SheetDesign.plain(sensor_type(), HEAD.scale(ring.size))
+        plain = SheetDesign.make_uniform(sensor_type(), HEAD.scale(ring.size))
         one = SimulatedSheet(plain, size_mm=5.0, interelectrode_resistance_ohm=1e4)
         parts.append(one.voltages(place) - one.unloaded)
     found = soft.voltages(place) - soft.unloaded

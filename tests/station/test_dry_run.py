@@ -20,7 +20,7 @@ from cbsr_qa.plugin.instruments import StationContext
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.dry_runs import dry_run
 from cbsr_qa.station.execution import execute
-from cbsr_qa.station.plan import PlannedPhase, another_frame, frames_in_hold
+from cbsr_qa.station.plan import PlannedPhase, frames_in_hold, is_frame_worthwhile
 from cbsr_qa.system.clock import VirtualClock, on_tick
 from cbsr_qa.testing.bench import FixedSequence, Script, example_identity, example_plan, make_scripted_bench
 from cbsr_qa_plugins.sequences.centre import HysteresisLoopSequence, NoiseFigureSequence
@@ -50,7 +50,7 @@ def test_frames_of_a_hold_are_counted_as_they_are_taken(hold_s, period_s, start_
     clock, period_s = VirtualClock(), on_tick(period_s)
     clock.sleep(start_s)
     end_s, taken = clock.now() + hold_s, 0
-    while taken == 0 or another_frame(end_s - clock.now(), period_s):
+    while taken == 0 or is_frame_worthwhile(end_s - clock.now(), period_s):
         clock.sleep(period_s)
         taken += 1
     share = hold_s / period_s % 1

@@ -206,11 +206,11 @@ def _find_first_stuck_frames(block: FrameBlock) -> NDArray[np.int64]:
     begin = np.where(longest >= _unlikely_run(repeats, longest), longest_begin, begin)
     begin[share_at_median >= _CONSTANT] = 0
     if block.unit is VoltageUnit.COUNT:
-        begin[_hardly_varying(block.voltages)] = 0
+        begin[_find_nearly_silent(block.voltages)] = 0
     return begin
 
 
-def _hardly_varying(voltages: Array) -> Mask:
+def _find_nearly_silent(voltages: Array) -> Mask:
     """Channels of counts that are nearly silent while others of the same drive and of the same measure pair are not.
 
     Noise includes rounding, so only counts that are noisy elsewhere qualify. Quiet drives or pairs are no fault.

@@ -27,7 +27,7 @@ def signal_to_noise_dB(frames: FrameBlock) -> Array | None:
         return None
     level = np.abs(frames.voltages.mean(axis=0))
     readings = frames.voltages.reshape(len(frames), -1)
-    squares = (off_the_line(readings - readings.mean(axis=0), frames.time_s) ** 2).reshape(frames.voltages.shape)
+    squares = (subtract_trend(readings - readings.mean(axis=0), frames.time_s) ** 2).reshape(frames.voltages.shape)
     noise = np.sqrt(squares.sum(axis=0) / (len(frames) - 2))
     silent_mask = noise <= _ROUNDING * level.max(initial=0.0)
     ratio = level / np.where(silent_mask, 1.0, noise)
@@ -71,7 +71,7 @@ def largest_by_reading(pairs: NDArray[np.int64], errors: Array, shape: tuple[int
     return largest.reshape(shape)
 
 
-def off_the_line(readings: Array, time_s: Array) -> Array:
+def subtract_trend(readings: Array, time_s: Array) -> Array:
     """Return the deviations of readings (n, m) from their straight lines in time (n,)."""
     q, _ = np.linalg.qr(np.column_stack([np.ones(len(time_s)), time_s - time_s.mean()]))
     return readings - q @ (q.T @ readings)

@@ -43,11 +43,11 @@ def remove_spikes(voltages: Array, usable: Mask, *, counts: bool) -> tuple[Array
     # Where most readings of a frame are far from their neighbours in time, the noise has grown, or the sheet moved.
     unrest = MAD_TO_SIGMA * np.median(np.abs(deviation[:, usable]) / sigma[usable], axis=1)
     far_mask = (np.abs(deviation) > SPIKE_SIGMA * sigma * np.maximum(unrest, 1.0)[:, None, None]) & usable
-    spikes = far_mask & _alone(deviation, far_mask, usable)
+    spikes = far_mask & _lacks_reciprocal(deviation, far_mask, usable)
     return np.where(spikes, level, voltages), spikes
 
 
-def _alone(apart: Array, far: Mask, usable: Mask) -> Mask:
+def _lacks_reciprocal(apart: Array, far: Mask, usable: Mask) -> Mask:
     """Whether the reciprocal of a reading did not change with it."""
     square = usable.shape[0] == usable.shape[1]
     partner_mask = usable & usable.T if square else np.zeros_like(usable)

@@ -199,7 +199,7 @@ def _noise(recording: Recording, ready: ReadyReadings, events: tuple[LoadEvent, 
     return noise_report(block, reading_use, steps, busy, timed=not recording.still and recording.clock != "none")
 
 
-def _unlike_the_model(searched: Searched) -> list[str]:
+def _warn_of_other_sheet(searched: Searched) -> list[str]:
     """Say that this is not the sheet that is modelled, where most events are not those of loads on it."""
     fits = [sighting.goodness for sighting in searched.sightings]
     if sum(fit.in_model for fit in fits) * 2 >= len(fits):
@@ -222,7 +222,7 @@ def _warnings(recording: Recording, ready: ReadyReadings, searched: Searched) ->
     carry_over = ready.carry_over
     if carry_over is not None and carry_over.worth_correcting and not ready.corrected:
         remarks.append(f"readings carry over {carry_over.share:.0%} of the previous one; not corrected, as requested")
-    remarks += [*ready.remarks(), *searched.remarks, *_unlike_the_model(searched)]
+    remarks += [*ready.remarks(), *searched.remarks, *_warn_of_other_sheet(searched)]
     if scene := searched.scene:
         effect = masking_effect(scene.sheet.problem)
         if effect is not None and effect.electrodes:

@@ -43,7 +43,7 @@ def with_fates(events: Sequence[LoadEvent], radius_mm: float, together: Together
     radius_mm : radius of the imaged sheet [mm].
     together : images the changes of several events at once.
     """
-    fates = [_fate(number, events, radius_mm, together) for number in range(len(events))]
+    fates = [_name_outcome(number, events, radius_mm, together) for number in range(len(events))]
     return tuple(replace(event, fate=fate) for event, fate in zip(events, fates, strict=True))
 
 
@@ -81,7 +81,7 @@ def _place_in_image(
     return ImagedPlace(x, y, layout.electrode_at(x, y), layout.count, event.sign * largest, share)
 
 
-def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: Together) -> str:
+def _name_outcome(number: int, events: Sequence[LoadEvent], radius_mm: float, together: Together) -> str:
     event = events[number]
     neighbours = [k for k, other in enumerate(events) if k != number and other.start_s <= event.peak_s <= other.end_s]
     if not neighbours:
@@ -89,7 +89,7 @@ def _fate(number: int, events: Sequence[LoadEvent], radius_mm: float, together: 
     values = np.maximum(event.sign * together([number, *neighbours]), 0.0)
     return _assign_events(Image(event.image.mesh, values), [event, *(events[k] for k in neighbours)], radius_mm)[
         1
-    ].fate(0)
+    ].name_outcome(0)
 
 
 def _assign_events(
@@ -189,12 +189,12 @@ def image_events(
             _event(scene, sighting, images.image_event(sighting, _name(scene, number, sighting.peak_s)))
         )
 
-    def together(numbers: Sequence[int]) -> Array:
+    def image_together(numbers: Sequence[int]) -> Array:
         if not images.superposes:
             tell(f"imaging event {numbers[0] + 1} and its neighbours with {chosen.name}")
-        return images.together([sightings[k] for k in numbers])
+        return images.image_together([sightings[k] for k in numbers])
 
-    fated = with_fates(imaged_events, sheet.radius_mm, together)
+    fated = with_fates(imaged_events, sheet.radius_mm, image_together)
     events = with_imaged_places(fated, sheet.radius_mm, sheet.layout)
     imaging = EventImaging(chosen, images.prepared.choice, len(sheet.problem.mesh.elements))
     single_frames = images.sequences and all(len(sighting.frames) == 1 for sighting in sightings)

@@ -20,7 +20,7 @@ from cbsr_qa.domain.goodness import Goodness
 from cbsr_qa.domain.imaging import ImagingProblem, LinearReconstruction, PreparedReconstruction
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin.interfaces import Reconstruction
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 
 #: Function that receives each step, in words.
 Tell = Callable[[str], None]
@@ -116,7 +116,7 @@ class EventImages:
             image = self._images(problem, sighting.change[None])[0]
         return image
 
-    def together(self, sightings: Sequence[Sighting]) -> Array:
+    def image_together(self, sightings: Sequence[Sighting]) -> Array:
         """Image (e,) of the changes of several events, each counted once."""
         changes = {sighting.change.tobytes(): sighting for sighting in sightings}.values()
         if self.superposes:
@@ -212,7 +212,7 @@ def _with_measured(
 def _convert_errors(where: str) -> Iterator[None]:
     """Turn any exception of a plugin's method into one clear refusal."""
     try:
-        with come_back_once():
+        with end_forked_copies():
             yield
     except CbsrError as error:
         raise NumericsError(f"{where}: {error.reason}", remedy=error.remedy or _REMEDY) from error

@@ -128,7 +128,7 @@ def find_places(
         if (gain < needed and not is_resolved) or _nearest(match, refined_indices) < _SEPARATE:
             break
         place_indices, explained = refined_indices, explained + gain
-    places = _all_refined(change, match, place_indices)
+    places = _refine_places(change, match, place_indices)
     # With a single load, the remains of drift and of the sheet's own shape would be taken for another load.
     while 1 < len(places) < most and (weak := _find_weak_load(change, match, places, noise)):
         places.append(weak)
@@ -208,7 +208,7 @@ def robust_directions(places: tuple[Place, ...], change: Array, match: Matcher) 
         sigma = np.sqrt(np.maximum(residual / (_HUBER * spread), 1.0))
         reweighted = matcher(match.patterns, match.places, sigma, match.nuisance)
     white_change = reweighted.whiten(change[None])[0]
-    refined = _all_refined(white_change, reweighted, place_indices)
+    refined = _refine_places(white_change, reweighted, place_indices)
     return tuple(_correct_direction(place, refined) for place in places)
 
 
@@ -261,7 +261,7 @@ def _nearest(match: Matcher, chosen: list[int]) -> float:
     return float(distances.min())
 
 
-def _all_refined(change: Array, match: Matcher, chosen: list[int]) -> list[Place]:
+def _refine_places(change: Array, match: Matcher, chosen: list[int]) -> list[Place]:
     """Refine each place in what the others leave."""
     return [
         _refine_place(_fit_residual(change, match, chosen[:k] + chosen[k + 1 :]), match, best)

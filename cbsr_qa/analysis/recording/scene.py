@@ -153,7 +153,7 @@ class RecordedScene:
             objects, reason = find_moving(*self._match_changes(self.sheet, changes, sigma))
             remarks = ()
         else:
-            objects, reason, remarks = self._still(changes, sigma)
+            objects, reason, remarks = self._search_still(changes, sigma)
             objects = self._correct_directions(objects)
         sightings = tuple(
             self._make_object_sighting(moving_object, changes, timed=rate_hz is not None) for moving_object in objects
@@ -177,7 +177,7 @@ class RecordedScene:
         match = matcher(sheet.patterns, sheet.places, np.broadcast_to(sigma, changes.shape[1]), self.model.nuisance)
         return match.whiten(changes), match
 
-    def _still(self, changes: Array, sigma: float | Array) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
+    def _search_still(self, changes: Array, sigma: float | Array) -> tuple[tuple[Object, ...], str, tuple[str, ...]]:
         """Search a still image; in a tank, with the patterns of balls as large as those found."""
         white, match = self._match_changes(self.sheet, changes, sigma)
         objects, reason = find_still(white[0], match)

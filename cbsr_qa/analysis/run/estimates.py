@@ -8,7 +8,7 @@ from typing import Final
 import numpy as np
 from numpy.typing import NDArray
 
-from cbsr_qa.analysis.defects.quality import off_the_line
+from cbsr_qa.analysis.defects.quality import subtract_trend
 from cbsr_qa.analysis.run.loads import LoadWindow, window_of
 from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array
@@ -91,7 +91,7 @@ def reading_variance(unloaded: FrameBlock, usable: NDArray[np.bool_]) -> Array:
     if count < FEWEST_FRAMES:
         raise NumericsError(f"{count} unloaded frames are too few to estimate noise; {FEWEST_FRAMES} are needed")
     readings_by_frame = unloaded.voltages.reshape(count, -1)
-    residuals = off_the_line(readings_by_frame, unloaded.time_s)
+    residuals = subtract_trend(readings_by_frame, unloaded.time_s)
     freedom = count - 2
     variance = ((residuals**2).sum(axis=0) / freedom).reshape(usable.shape) * freedom / (freedom - 2)
     typical = float(np.median(variance[usable]))

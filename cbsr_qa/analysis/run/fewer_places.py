@@ -67,7 +67,7 @@ def map_costs(run: RunObservation, force: RunForce) -> tuple[MapCost, ...]:
     if not costs:
         return ()
     once = loads.first_of_each()
-    return (*costs, *([loads.cost(once)] if not once.all() else []), loads.whole())
+    return (*costs, *([loads.cost(once)] if not once.all() else []), loads.predict_all())
 
 
 def farthest_first(places_mm: Array, count: int, *, first: int | None = None) -> list[int]:
@@ -127,7 +127,7 @@ class _Loads:
         count = len(np.unique(self._which[chosen]))
         return MapCost(count, int(chosen.sum()), float(self._seconds[chosen].sum()), _rms(variance))
 
-    def whole(self) -> MapCost:
+    def predict_all(self) -> MapCost:
         """Prediction of all loads, as the calibration states it."""
         return MapCost(self.count, len(self._which), float(self._seconds.sum()), self._stated)
 

@@ -53,7 +53,7 @@ class ForceErrors:
         The standard error allows for the sample's kurtosis, at least a normal one's: heavy loads err more than light
         ones.
         """
-        count = self._enough()
+        count = self._count_errors()
         centred_N = self.error_N - self.error_N.mean()
         second = float((centred_N**2).mean())
         if second == 0:
@@ -69,7 +69,7 @@ class ForceErrors:
 
         Raise NumericsError if there are fewer than two loads.
         """
-        count = self._enough()
+        count = self._count_errors()
         spread = float(self.error_N.std(ddof=1))
         return Estimate(float(self.error_N.mean()), spread / count**0.5 or None, count - 1)
 
@@ -84,7 +84,7 @@ class ForceErrors:
             raise NumericsError(f"{self.inside(reach)} of {count} loads; a share needs at least {FEWEST_COVERED}")
         return Estimate(self.inside(reach) / count, float(np.sqrt(nominal * (1 - nominal) / count)), count)
 
-    def _enough(self) -> int:
+    def _count_errors(self) -> int:
         count = len(self.error_N)
         if count < FEWEST:
             raise NumericsError(

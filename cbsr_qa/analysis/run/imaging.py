@@ -155,7 +155,7 @@ def _match_region(
     diameter_mm = 2 * float(np.sqrt(pressed.area_mm2 / np.pi))
     assignment = assign_regions(regions, [pressed, *others], gate_mm=diameter_mm)
     own_region = assignment.region_of[0]
-    return None if own_region is None else regions[own_region], assignment.fate(0)
+    return None if own_region is None else regions[own_region], assignment.name_outcome(0)
 
 
 def _clear_noise(mesh: Mesh, signed: Array, noise_floor: float) -> Image:

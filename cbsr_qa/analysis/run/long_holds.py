@@ -27,7 +27,7 @@ class LongHolds:
     forces: Transients | None
 
 
-def long_holds(run: RunObservation) -> LongHolds:
+def find_long_holds(run: RunObservation) -> LongHolds:
     """Return the longest holds of a run. CbsrError if it has no load with a force, or no noise."""
     every, _ = force_loads(run)
     longest_s = max(load.hold_s for load in every)

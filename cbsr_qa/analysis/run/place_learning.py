@@ -47,12 +47,16 @@ def learn_and_compare(run: RunObservation) -> RunPlace:
     spread = {phase.name for phase in run.record.phases if phase.role in (Role.GRID, Role.RANDOM)}
     others_mask = ~calibrating & np.array([load.phase in spread for load in loads])
     other_errors = (
-        _others(data, others_mask, finder, PressedPlace(learned.model, merging)) if others_mask.any() else None
+        _measure_modelled(data, others_mask, finder, PressedPlace(learned.model, merging))
+        if others_mask.any()
+        else None
     )
     return RunPlace(learned, places=places, left_out=left_out_errors, others=other_errors)
 
 
-def _others(data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed: PressedPlace) -> PlaceErrors:
+def _measure_modelled(
+    data: CalibrationLoads, which: Mask, finder: TemplateFilter, pressed: PressedPlace
+) -> PlaceErrors:
     """Errors of loads located as the calibration in use locates them."""
     rows = data.subtract_residues()[0][which]
     modelled = finder.search(rows)

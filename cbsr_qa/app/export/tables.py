@@ -103,7 +103,7 @@ def _as_cell(value: Any) -> Any:
     return tuple(map(str, value)) if isinstance(value, tuple) else value
 
 
-def whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:
+def read_whole_table(store: Repository, request: ListRequest, table: ExportTable) -> tuple[Mapping[str, type], Rows]:
     """Return columns with their types, and all rows, of the selected runs. Raises as :func:`rows_of`."""
     rows: Rows = []
     for page in run_pages(store, request, AT_ONCE):

@@ -32,9 +32,9 @@ def enough_disk(asked: Asked) -> Finding:
     file = sqlite_file(parse_url(asked.request.database))
     folders = [*([] if file is None else [file.parent]), *asked.request.folders]
     on_disks = {
-        _there(folder).stat().st_dev: folder for folder in reversed(folders)
+        _find_existing(folder).stat().st_dev: folder for folder in reversed(folders)
     }  # each is asked once: others write too
-    least_free = min((shutil.disk_usage(_there(folder)).free, str(folder)) for folder in on_disks.values())
+    least_free = min((shutil.disk_usage(_find_existing(folder)).free, str(folder)) for folder in on_disks.values())
     estimated_by = "the estimate for this run" if stated_GB is None else "disk_GB of the station"
     clause = f"{least_free[0] / _GB:.1f} GB free at {least_free[1]}, {needed / _GB:.1f} GB needed ({estimated_by})"
     if file is None:
@@ -53,6 +53,6 @@ def estimate_run_bytes(asked: Asked) -> float:
     return _TWICE * (frames + dry.duration_s * _SAMPLES_PER_S) + _FILES
 
 
-def _there(folder: Path) -> Path:
+def _find_existing(folder: Path) -> Path:
     """Return the folder, or the nearest above it that exists."""
     return next((one for one in (folder, *folder.absolute().parents) if os.path.lexists(one)), Path("/"))

@@ -103,7 +103,7 @@ class _Session:
             try:
                 job = self._job(line)
             except CbsrError as error:
-                self._cannot(line, error.reason)
+                self._leave_out(line, error.reason)
             else:
                 jobs += [] if job is None else [job]
             progress.step()
@@ -112,10 +112,10 @@ class _Session:
     def _job(self, line: RunLine) -> Job | None:
         """Return the job of a run; None if it is stored already, or the run cannot be analysed."""
         if line.altered:
-            self._cannot(line, line.altered)
+            self._leave_out(line, line.altered)
             return None
         if not line.finished:
-            self._cannot(line, f"it has not finished ({line.end})")
+            self._leave_out(line, f"it has not finished ({line.end})")
             return None
         content = json.loads(self._store.runs.read_configuration(line.run))
         recipe = canonical_json(content["recipe"])
@@ -160,7 +160,7 @@ class _Session:
         for job, job_result in workers.run_jobs(jobs):
             line = self.lines[job.run]
             if isinstance(job_result, str):
-                self._cannot(line, job_result)
+                self._leave_out(line, job_result)
             else:
                 self._keep(line, job_result)
             progress.step()
@@ -175,11 +175,11 @@ class _Session:
         if worked.peak_mb is not None:
             self.peak_mb = max(worked.peak_mb, self.peak_mb or 0.0)
         if worked.result is None:
-            self._cannot(line, worked.why)
+            self._leave_out(line, worked.why)
             return
         self.stored[line.run] = self._store.reanalyses.save(worked.result)
 
-    def _cannot(self, line: RunLine, why: str) -> None:
+    def _leave_out(self, line: RunLine, why: str) -> None:
         self.not_analysed.append(NamedRun.from_line(line, why.removeprefix(f"run {line.run}: ")))
 
     def conclude(self, computed: int, where: str) -> Reanalysed:
@@ -197,7 +197,7 @@ class _Session:
                 valid_analysis = next(iter(analyses), None)
                 reanalysis = self._store.reanalyses.load(self.stored[line.run])
             except StoreError as error:
-                self._cannot(line, error.reason)
+                self._leave_out(line, error.reason)
                 continue
             valid_measurements = () if valid_analysis is None else valid_analysis.measurements
             changes.add(line, valid_measurements, reanalysis.measurements)

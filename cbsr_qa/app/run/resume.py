@@ -123,12 +123,12 @@ def _continue_run(
             remedy=f"{report_command(run, store)} writes its report and calibration file again",
         )
     if result is ResultState.MISSING:
-        with naming_removed(stored, identity):
+        with name_removed_plugins(stored, identity):
             check_recipe(configuration.recipe, configuration.sensor_type, plugins)  # nothing moves: no other check
         outcome = conclude_run(run, store, configuration, plugins, Stages(console.tell), software_changes)
         deliver_verdict(outcome, identity, configuration, plugins)
         return outcome
-    with naming_removed(stored, identity):
+    with name_removed_plugins(stored, identity):
         check_configuration(configuration, plugins)
     done_before = Done(
         store.runs.list_finished_loads(run),
@@ -138,7 +138,7 @@ def _continue_run(
         store.runs.load(run) if plan_of(configuration, plugins).decides else None,
     )
     with (
-        naming_removed(stored, identity),
+        name_removed_plugins(stored, identity),
         stoppable_outside_steps(),
         open_control(configuration, to_gate, console, run) as control,
     ):
@@ -177,7 +177,7 @@ def compare_software(stored: RunIdentity, now: RunIdentity) -> list[str]:
 
 
 @contextmanager
-def naming_removed(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
+def name_removed_plugins(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
     """Say which packages of plugins a run began with are missing now, where its plugins are refused.
 
     Raises
@@ -206,15 +206,15 @@ def naming_removed(stored: RunIdentity, now: RunIdentity) -> Iterator[None]:
 
 def compare_instruments(stored: RunIdentity, instruments: tuple[InstrumentIdentity, ...]) -> list[str]:
     """Return a warning for each instrument that differs from the one at the start of the run."""
-    stored_by_role = {instrument.role: _who(instrument) for instrument in stored.instruments}
+    stored_by_role = {instrument.role: _describe_instrument(instrument) for instrument in stored.instruments}
     return [
         f"{role} is another instrument than the run was begun with: {stored_by_role.get(role, 'none')} → {current}"
-        for role, current in ((instrument.role, _who(instrument)) for instrument in instruments)
+        for role, current in ((instrument.role, _describe_instrument(instrument)) for instrument in instruments)
         if stored_by_role.get(role) != current
     ]
 
 
-def _who(instrument: InstrumentIdentity) -> str:
+def _describe_instrument(instrument: InstrumentIdentity) -> str:
     return " ".join(filter(None, [instrument.model, instrument.serial, instrument.firmware]))
 
 

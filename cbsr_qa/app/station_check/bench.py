@@ -34,7 +34,7 @@ from cbsr_qa.station.bench import (
 )
 from cbsr_qa.station.setup import check_clock, opener
 from cbsr_qa.system.clock import Clock
-from cbsr_qa.system.copies import come_back_once
+from cbsr_qa.system.copies import end_forked_copies
 
 #: Function that is called with a request and returns whether the operator carried it out; None without an operator.
 Confirm = Callable[[str], bool] | None
@@ -213,7 +213,7 @@ class _Look:
             self._add(CheckResult("self-test", CheckOutcome.NOT_DONE, said=reason, subject=mounted.spec.role))
             return
         try:
-            with come_back_once():
+            with end_forked_copies():
                 tested = tuple(mounted.instrument.self_test())
             for line in tested:
                 self._add(replace(line, subject=mounted.spec.role))
@@ -252,7 +252,7 @@ class _Look:
         for mounted in self._mounted:
             if isinstance(mounted.instrument, Sampler):
                 try:
-                    with come_back_once():
+                    with end_forked_copies():
                         sampled = _check_samples(mounted.spec, mounted.instrument, begun_s, stale_s)
                     self._add(sampled)
                 except Exception as error:  # noqa: BLE001 - as above
@@ -274,7 +274,7 @@ class _Look:
             return self._add(_skip_ring(reason, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
-            with come_back_once():
+            with end_forked_copies():
                 frames = self._bench.frame_source.acquire(ring.frames)
         except Exception as error:  # noqa: BLE001 - as above
             return self._add(_error_result(RING, "readings", error))

@@ -135,7 +135,7 @@ def compare_golden(
             values = [one.value for one in earlier if (one.places, one.unit) == (figure.places, figure.unit)]
             if len(values) >= FEWEST_VALUES:
                 compared[name, stations] = values
-    lines = [_rests_on(runs_here, runs_elsewhere, history.unlike, subject)]
+    lines = [_describe_history(runs_here, runs_elsewhere, history.unlike, subject)]
     for name, _ in FIGURES:
         if name not in new_figures:
             lines.append(_lacking(name, [run for run in history.runs if name in run.figures], subject))
@@ -159,7 +159,9 @@ def _lacking(name: str, had: Sequence[GoldenRun], subject: str) -> CheckResult:
     )
 
 
-def _rests_on(here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str) -> CheckResult:
+def _describe_history(
+    here: Sequence[GoldenRun], elsewhere: Sequence[GoldenRun], unlike: int, subject: str
+) -> CheckResult:
     is_enough = max(len(here), len(elsewhere)) >= FEWEST_VALUES
     counts_text = f"{_runs(len(here))} at this station, {len(elsewhere)} at others"
     counts_text += f" ({_stations(elsewhere)})" if elsewhere else ""
@@ -189,7 +191,8 @@ def _line(
         outside = CheckOutcome.FAILED if not fails.holds(value) else CheckOutcome.WARNING
         outcomes += [] if warns.holds(value) else [outside]
         means.append(f"{stations} {with_uncertainty(fails.mean, fails.deviation)} in {_runs(fails.count)}")
-        reach = f"{_like(fails.low, fails)} to {_like(fails.high, fails)} {unit_shown(figure.unit)}".rstrip()
+        reach = f"{_format_like(fails.low, fails)} to {_format_like(fails.high, fails)}"
+        reach = f"{reach} {unit_shown(figure.unit)}".rstrip()
         allowed_ranges.append(f"{reach} ({stations})")
     outcome = CheckOutcome.FAILED if CheckOutcome.FAILED in outcomes else outcomes[-1]
     return CheckResult(
@@ -204,7 +207,7 @@ def _line(
     )
 
 
-def _like(value: float, prediction: Prediction) -> str:
+def _format_like(value: float, prediction: Prediction) -> str:
     """Write a bound with digits that match the spread of the values."""
     decimals = 1 - floor(log10(prediction.deviation)) if prediction.deviation > 0 else _MOST_DECIMALS
     few = abs(prediction.mean) >= 0.01 and 0 <= decimals <= _MOST_DECIMALS

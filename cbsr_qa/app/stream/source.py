@@ -96,7 +96,7 @@ def open_source(
         )
     with ExitStack() as stack:
         if frames.driver is not None:
-            specs, clock, opened = _alone(frames.driver, frames.options or {}, plugins, sensor_type, head)
+            specs, clock, opened = _open_alone(frames.driver, frames.options or {}, plugins, sensor_type, head)
         else:
             assert frames.station is not None
             specs, clock, opened = _prepare_station(frames.station, plugins, sensor_type, stack)
@@ -118,7 +118,7 @@ _Opener = Callable[[InstrumentSpec], Instrument]
 _Opened = tuple[list[InstrumentSpec], Clock, _Opener]
 
 
-def _alone(
+def _open_alone(
     driver: str, options: Mapping[str, Any], plugins: Plugins, sensor_type: SensorType, head: Indenter | None
 ) -> _Opened:
     clock = RealClock()

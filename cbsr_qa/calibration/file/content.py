@@ -72,7 +72,7 @@ class Reading:
             raise CalibrationError(f"{path} is {value:g}; a finite number is expected")
         return value
 
-    def maybe(self, path: str) -> float | None:
+    def optional_number(self, path: str) -> float | None:
         """Return a number, or None if it is absent."""
         value = float(self.array(path, np.float64, ()))
         return None if np.isnan(value) else self.number(path)
@@ -84,7 +84,7 @@ class Reading:
             raise CalibrationError(f"{path} holds a number that is infinite; finite ones are expected")
         return array
 
-    def either(self, path: str) -> Array:
+    def floats(self, path: str) -> Array:
         """Return an array of finite numbers stored in single or double precision."""
         value = self._value(path)
         single = isinstance(value, np.ndarray) and value.dtype == np.float32
@@ -93,7 +93,7 @@ class Reading:
             raise CalibrationError(f"{path} holds a value that is not a finite number")
         return values
 
-    def maybes(self, path: str) -> list[float | None]:
+    def optional_numbers(self, path: str) -> list[float | None]:
         """Return a list of numbers, None for absent ones."""
         return [None if np.isnan(value) else float(value) for value in self.numbers(path)]
 
@@ -113,7 +113,7 @@ class Reading:
             raise CalibrationError(f"{path} is {values[0]:g} to {values[1]:g}; finite numbers are expected")
         return float(values[0]), float(values[1])
 
-    def whole_pair(self, path: str) -> tuple[float, float]:
+    def required_pair(self, path: str) -> tuple[float, float]:
         """Return (lowest, highest)."""
         pair = self.pair(path)
         if pair is None:

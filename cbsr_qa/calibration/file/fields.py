@@ -189,8 +189,8 @@ _VALUES: Final[Mapping[Any, Callable[[Reading, str], Any]]] = {
     str: Reading.text,
     tuple[str, ...]: Reading.texts,
     float: Reading.number,
-    float | None: Reading.maybe,
-    tuple[float, float]: Reading.whole_pair,
+    float | None: Reading.optional_number,
+    tuple[float, float]: Reading.required_pair,
     tuple[float, float] | None: Reading.pair,
     Array: Reading.numbers,
     Array | None: Reading.optional,
@@ -204,7 +204,7 @@ _VALUES: Final[Mapping[Any, Callable[[Reading, str], Any]]] = {
 _LISTS: Final[Mapping[Any, Callable[[Reading, str], Sequence[Any]]]] = {
     str: Reading.texts,
     float: lambda read, path: read.numbers(path).tolist(),
-    float | None: Reading.maybes,
+    float | None: Reading.optional_numbers,
     tuple[float, ...]: lambda read, path: [tuple(row[~np.isnan(row)].tolist()) for row in read.numbers(path)],
     int: lambda read, path: read.array(path, np.int64).tolist(),
     int | None: lambda read, path: [None if n < 0 else n for n in read.array(path, np.int64).tolist()],
@@ -214,9 +214,9 @@ _LISTS: Final[Mapping[Any, Callable[[Reading, str], Sequence[Any]]]] = {
 
 def _value(read: Reading, field: KeptField, path: str) -> Any:
     if field.kept.columns:
-        return np.ascontiguousarray(read.either(path + COLUMNS).T)
+        return np.ascontiguousarray(read.floats(path + COLUMNS).T)
     if field.kept.single or field.kept.shortest:
-        return read.array(path, np.float32).astype(np.float64) if field.kept.single else read.either(path)
+        return read.array(path, np.float32).astype(np.float64) if field.kept.single else read.floats(path)
     return _VALUES[field.hint](read, path) if field.hint in _VALUES else field.hint(read.text(path))
 
 

@@ -75,7 +75,7 @@ def stamp(calibration: _Kind) -> _Kind:
     """
     entries = encode(calibration)
     digest = content_digest(entries)
-    file = _whole_file(entries, digest)
+    file = _write_file(entries, digest)
     return replace(calibration, digest=digest, record_digest=record_digest(entries), file=file, signature=None)
 
 
@@ -86,7 +86,7 @@ def sign_calibration(calibration: _Kind, key: SigningKey, at: datetime) -> _Kind
     """
     entries = _as_issued(calibration)
     signed = with_signature(calibration, key, at)
-    return replace(signed, file=_whole_file(entries, signed.digest, signed.signature))
+    return replace(signed, file=_write_file(entries, signed.digest, signed.signature))
 
 
 def write_calibration(path: Path, calibration: Issued) -> str:
@@ -103,7 +103,7 @@ def write_calibration(path: Path, calibration: Issued) -> str:
     if calibration.file and digest == calibration.digest:
         data = calibration.file
     else:
-        data = _whole_file(entries, digest, calibration.signature)
+        data = _write_file(entries, digest, calibration.signature)
     remedy = "give a folder that exists and may be written, with room for some megabytes"
     with writing(path, refusal=CalibrationError, remedy=remedy):
         path.parent.mkdir(parents=True, exist_ok=True)
@@ -112,7 +112,7 @@ def write_calibration(path: Path, calibration: Issued) -> str:
     return digest
 
 
-def _whole_file(entries: Mapping[str, Entry], digest: str, signature: Signature | None = None) -> bytes:
+def _write_file(entries: Mapping[str, Entry], digest: str, signature: Signature | None = None) -> bytes:
     try:
         image = _write_to_memory(entries, digest, signature)
     except ValueError as error:

@@ -39,7 +39,7 @@ def members(
         If the file has links, external data, too many names, or datasets that are too large or of a type that is
         neither number nor text.
     """
-    yield from _Walk(largest_content(size_bytes), most_names).within(file, "")
+    yield from _Walk(largest_content(size_bytes), most_names).walk_group(file, "")
 
 
 class _Walk:
@@ -50,7 +50,7 @@ class _Walk:
         self._most_names = most_names
         self._names = self._texts = 0
 
-    def within(self, group: h5py.Group, prefix: str) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
+    def walk_group(self, group: h5py.Group, prefix: str) -> Iterator[tuple[str, h5py.Group | h5py.Dataset]]:
         for name in group:
             path = f"{prefix}{name}"
             self._names += 1
@@ -66,7 +66,7 @@ class _Walk:
             item = group[name]
             if isinstance(item, h5py.Group):
                 yield path, item
-                yield from self.within(item, f"{path}/")
+                yield from self.walk_group(item, f"{path}/")
             else:
                 self._check(path, item)
                 yield path, item

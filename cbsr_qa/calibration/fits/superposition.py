@@ -220,7 +220,7 @@ def levels_read(loops: Sequence[LoadRecord], trace: Trace, last_s: float, noise:
             spread = (float(last_values.std(ddof=1)) if len(last_values) > 1 else 0.0) if noise is None else noise
             values.append(float(last_values.mean()))
             errors.append(spread / len(last_values) ** 0.5)
-    return Levels(np.reshape(values, (len(loops), -1)), _apart(np.reshape(errors, (len(loops), -1))))
+    return Levels(np.reshape(values, (len(loops), -1)), _make_diagonal(np.reshape(errors, (len(loops), -1))))
 
 
 def _check_finite(trace: Trace) -> None:
@@ -284,7 +284,9 @@ def estimate_levels(loops: Sequence[LoadRecord], trace: Trace, *, rests: bool) -
     shifts = [
         _shape_levels(shifted.levels - final_steps.levels, len(loops), width)[None] for shifted in shifted_steps
     ]
-    return Levels(_shape_levels(final_steps.levels, len(loops), width), np.concatenate([_apart(own_stderr), *shifts]))
+    return Levels(
+        _shape_levels(final_steps.levels, len(loops), width), np.concatenate([_make_diagonal(own_stderr), *shifts])
+    )
 
 
 def _steps(loops: Sequence[LoadRecord], trace: Trace, rests: bool) -> Iterator[StepTrace]:
@@ -313,5 +315,5 @@ def _shape_levels(levels: Array, loops: int, width: int) -> Array:
     return levels.reshape(loops, -1)[:, :width]
 
 
-def _apart(stderr: Array) -> Array:
+def _make_diagonal(stderr: Array) -> Array:
     return np.diag(stderr.ravel()).reshape(stderr.size, *stderr.shape)

@@ -320,7 +320,7 @@ def forces_together(
     return SeveralForces(loads, total, float(np.hypot(total_stderr, missing_share * abs(total))), frame_flags)
 
 
-def nothing_together(total_N: float, stderr_N: float, flags: Flag) -> SeveralForces:
+def make_empty_frame(total_N: float, stderr_N: float, flags: Flag) -> SeveralForces:
     """A frame without any head."""
     none, places = np.zeros(0), np.zeros((0, 2))
     loads = Forces(none, none, places, none, none, np.zeros(0, dtype=np.int64), none)

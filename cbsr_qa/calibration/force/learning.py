@@ -133,8 +133,8 @@ def learn_force(
     CalibrationError
         If fewer than three loads are usable; the message gives the reasons for the others.
     """
-    even_model = make_even_model(bank, merging)
-    filter_ = TemplateFilter(even_model)
+    make_uniform_model = make_even_model(bank, merging)
+    filter_ = TemplateFilter(make_uniform_model)
     stress = loads.force_N / head.area_mm2 * 1e3
     matches = _match_loads(filter_, loads)
     predicted = line.slope.value * stress + line.intercept.value
@@ -161,7 +161,7 @@ def learn_force(
     mean, variance = response.predict(bank.places_mm)
     fitted = _line(line, response.bend if bend is not None else (0.0, prior**2), middle, fitted=bend is not None)
     model = replace(
-        even_model,
+        make_uniform_model,
         log_response=mean,
         log_response_stderr=np.sqrt(variance),
         batch=response.batch,

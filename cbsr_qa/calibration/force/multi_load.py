@@ -55,14 +55,14 @@ class Heads:
         groups = [[number] for number in range(len(self))]
         for other in range(len(self)):
             for first in range(other):
-                if not self._apart(first, other, nearest_mm):
+                if not self._are_apart(first, other, nearest_mm):
                     first_group, other_group = (next(g for g in groups if n in g) for n in (first, other))
                     if first_group is not other_group:
                         first_group += other_group
                         groups.remove(other_group)
         return [sorted(group) for group in groups]
 
-    def _apart(self, first: int, other: int, nearest_mm: float) -> bool:
+    def _are_apart(self, first: int, other: int, nearest_mm: float) -> bool:
         deviation = np.sqrt(np.diag(self.covariance).reshape(-1, 3)[[first, other], 0])
         if (np.abs(self.strength[[first, other]]) < _RESOLVED * deviation).any():
             return False

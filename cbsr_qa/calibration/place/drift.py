@@ -98,7 +98,7 @@ def find_drift(errors: Array, expected: Array, session: Session, *, certain: boo
     """
     scaled, deviation = _scale_to_unit_rms(errors)
     relative, _ = _scale_to_unit_rms(expected)
-    walk, recheck_count = _Walk.over(session.time), session.late
+    walk, recheck_count = _Walk.from_times(session.time), session.late
     if not certain and walk.score(scaled, relative) <= max(
         replace(walk, at=walk.at[order]).score(scaled, relative) for order in _orders(len(errors))
     ):
@@ -155,7 +155,7 @@ class _Walk:
     variances: Array
 
     @classmethod
-    def over(cls, time: Array) -> "_Walk":
+    def from_times(cls, time: Array) -> "_Walk":
         """The walk over times (n,), of variance one at the last."""
         frequency = np.pi * (np.arange(_FUNCTIONS) + 0.5)
         scaled = (time - time.min()) / max(float(np.ptp(time)), np.finfo(float).tiny)

@@ -96,9 +96,9 @@ class PlaceEstimator:
         several = [slice(first, first + _AT_ONCE) for first in starts]
         parts = [self._locate(changes[batch], faults.left_out[batch], faults.flags[batch]) for batch in several]
         places = Places(*(np.concatenate(columns) for columns in zip(*parts, strict=True)))
-        return places if self._modelled is None else self._beyond(places, self._modelled(changes))
+        return places if self._modelled is None else self._fill_beyond(places, self._modelled(changes))
 
-    def _beyond(self, places: Places, modelled: Places) -> Places:
+    def _fill_beyond(self, places: Places, modelled: Places) -> Places:
         """Use the modelled sheet for touches that it explains beyond the presses, and the learned places do not."""
         learned_mask = places.in_model & ((places.flags & int(Flag.OUTSIDE)) == 0)
         unfit_mask = (places.flags & _NOT_MODELLED) != 0

@@ -127,13 +127,13 @@ def pattern_turns(pairs: Indices, electrodes: int) -> PatternTurns:
         (*mapping, turn_by(2 * np.pi * step / electrodes, mirrored=mirror < 0))
         for mirror in (1, -1)
         for step in range(electrodes)
-        if (mapping := _became((mirror * pairs + step) % electrodes, index_by_pair)) is not None
+        if (mapping := _find_readings((mirror * pairs + step) % electrodes, index_by_pair)) is not None
     ]
     permuted, signs, turns = (np.array(part) for part in zip(*symmetries, strict=True))
     return PatternTurns(permuted.astype(np.int64), signs.astype(np.float64), turns)
 
 
-def _became(pairs: Indices, where: dict[tuple[int, ...], int]) -> tuple[list[int], list[int]] | None:
+def _find_readings(pairs: Indices, where: dict[tuple[int, ...], int]) -> tuple[list[int], list[int]] | None:
     """Indices and signs of readings in a pattern, or None if one is missing. Either polarity is the same reading."""
     numbers, signs = [], []
     for a, b, c, d in pairs.tolist():

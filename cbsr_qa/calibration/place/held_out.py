@@ -88,7 +88,7 @@ class LeftOut:
         parts = self.process, self.templates, self.templates_covariance, places_mm[self.presses]
         return learn_mixture(*parts, visits_of(places_mm)[self.presses], levels)
 
-    def apart(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
+    def measure_errors(self, mixture: PlaceMixture, places_mm: Array) -> tuple[Array, Array]:
         """Errors (k, 2) of the mixed places, and dᵀΣ⁻¹d (k,) of them."""
         mixed_mm, covariance = mix_places(mixture, self.process, self.templates, self.templates_covariance)
         error = places_mm[self.presses] - mixed_mm
@@ -227,7 +227,7 @@ def coverage_of(out: LeftOut, places_mm: Array) -> HeldOut:
     for half in (0, 1):
         located_presses = np.flatnonzero(half_of == half)
         mixture = out.select(half_of != half).mixture(places_mm, _LEVELS)
-        offset_mm, ratio = out.select(located_presses).apart(mixture, places_mm)
+        offset_mm, ratio = out.select(located_presses).measure_errors(mixture, places_mm)
         found_mm[located_presses] = places_mm[out.presses[located_presses]] - offset_mm
         covered_mask[located_presses] = ratio[:, None] <= mixture.quantiles
     error = np.linalg.norm(places_mm[out.presses] - found_mm, axis=1)
@@ -253,7 +253,7 @@ def late_growth(mixture: PlaceMixture, early: LeftOut, late: LeftOut, places_mm:
         [np.log(np.maximum(factors, np.finfo(float).tiny)).mean() for factors in pair]
         for pair in (
             (early.misfit, late.misfit),
-            (early.apart(mixture, places_mm)[1], late.apart(mixture, places_mm)[1]),
+            (early.measure_errors(mixture, places_mm)[1], late.measure_errors(mixture, places_mm)[1]),
         )
     )
     return max(1.0, float(np.exp((misfit[1] - misfit[0] + ratio[1] - ratio[0]) / 2)))

@@ -28,7 +28,7 @@ from cbsr_qa.calibration.place.held_out import (
     evenly,
     late_growth,
 )
-from cbsr_qa.calibration.place.mixture import few_presses_tell
+from cbsr_qa.calibration.place.mixture import widen_for_few_presses
 from cbsr_qa.calibration.place.process import (
     frames_likelihoods,
     likely_scales,
@@ -172,7 +172,7 @@ def learn_place(
     mixture, region_widening = main_presses.mixture(sheet.places_mm), np.ones(2)
     if recheck_mask.any():
         growth = late_growth(mixture, main_presses, left_out.select(recheck_mask), sheet.places_mm)
-        region_widening = few_presses_tell(int(recheck_mask.sum()))
+        region_widening = widen_for_few_presses(int(recheck_mask.sum()))
     mixture = replace(mixture, quantiles=mixture.quantiles * region_widening)
     size = np.sqrt((changes**2).mean(axis=1))
     model = LearnedPlace(
@@ -188,7 +188,7 @@ def learn_place(
         reach_mm=_reach(centred_mm[np.unique(sheet.visits)]),
     )
     held_out = coverage_of(main_presses, sheet.places_mm)
-    located_mm = sheet.places_mm[left_out.presses] - left_out.apart(mixture, sheet.places_mm)[0]
+    located_mm = sheet.places_mm[left_out.presses] - left_out.measure_errors(mixture, sheet.places_mm)[0]
     located_mm[~recheck_mask] = held_out.found_mm
     left_out_likeness = (
         interpolate_at_places(model.templates.grid_mm, left_out.likeness, located_mm) / size_ratio[left_out.presses]

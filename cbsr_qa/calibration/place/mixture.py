@@ -88,7 +88,7 @@ def quantile(ratio: Array, level: float, visits: Indices | None = None) -> float
     return max(float(weight @ ratio * fdtri(2, 2 * len(presses), level)), float(ratio.max()))
 
 
-def few_presses_tell(count: int) -> Array:
+def widen_for_few_presses(count: int) -> Array:
     """Factors (2,) by which regions of normal errors grow if few presses determine their variance."""
     levels = np.array(LEVELS)
     # Quantiles of F, and of chi-squared per degree of freedom. Loading scipy.stats for them would slow every run.

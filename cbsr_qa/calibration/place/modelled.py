@@ -9,7 +9,7 @@ from cbsr_qa.calibration.force.inverse import Flag
 from cbsr_qa.calibration.place.mixture import LEVELS, quantile
 from cbsr_qa.calibration.place.places import Places
 from cbsr_qa.domain.errors import CalibrationError
-from cbsr_qa.domain.goodness import ALLOWANCE, unlike_model
+from cbsr_qa.domain.goodness import ALLOWANCE, deviates_from_model
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.learned_place import ModelledPlace
 from cbsr_qa.domain.results.press_calibration import SheetRegistration
@@ -69,7 +69,9 @@ class ModelledEstimator:
         finite_mask: Mask = np.asarray(np.isfinite(changes).all(axis=1))
         changes = np.where(finite_mask[:, None], changes, 0.0)
         correlation = unit_rows(changes) @ self._bank.T
-        place = self._registration.to_press_frame_mm(self._model.step_mm * most_alike(self._model.node, correlation))
+        place = self._registration.to_press_frame_mm(
+            self._model.step_mm * interpolate_most_alike(self._model.node, correlation)
+        )
         misfit, unlike_mask = self._misfit(changes, self._templates[correlation.argmax(axis=1)])
         flags = np.where(finite_mask, 0, int(Flag.UNREADABLE))
         flags |= np.where(unlike_mask | (not self._registration.trusted), int(Flag.NOT_AS_MODELLED), 0)
@@ -85,9 +87,9 @@ class ModelledEstimator:
         noise = self._model.noise**2
         freedom = templates.shape[1] - _UNKNOWNS if noise else 0
         unlike_mask = (
-            unlike_model(gain, residual_square, freedom)
+            deviates_from_model(gain, residual_square, freedom)
             if not noise
-            else unlike_model(gain / noise, residual_square / noise, freedom)
+            else deviates_from_model(gain / noise, residual_square / noise, freedom)
         )
         allowed = np.maximum(ALLOWANCE * gain, np.finfo(np.float64).tiny)
         return np.maximum(residual_square - noise * freedom, 0.0) / allowed, unlike_mask
@@ -128,7 +130,7 @@ def log_likelihood_slopes(alike: Array) -> tuple[Array, Array]:
     return np.where(inside_mask, first, 0.0), np.where(inside_mask, second, 0.0)
 
 
-def most_alike(node: Indices, alike: Array) -> Array:
+def interpolate_most_alike(node: Indices, alike: Array) -> Array:
     """Most likely place (n, 2) of each press in steps of a lattice, interpolated by parabolas.
 
     Parameters

@@ -90,7 +90,9 @@ def _covariance(scales: PlaceScales, turns: PatternTurns, features: Array) -> Ar
         opposite = int(np.abs(turns.turns - turn.T).sum(axis=(1, 2)).argmin())
         if number > opposite:
             continue
-        correlation = scales.turning_variance * matern(compute_squared_distances(turns.back(scaled, number), scaled))
+        correlation = scales.turning_variance * matern(
+            compute_squared_distances(turns.turn_back(scaled, number), scaled)
+        )
         for row, column in np.ndindex(2, 2):
             covariance[:, row, :, column] += correlation * turn[row, column]
             if number < opposite:  # K(x, g⁻¹x') is K(gx, x'): the same, transposed
@@ -182,7 +184,7 @@ class _Likelihood:
         self._orbit = turns.orbits()
         self._readings, self._orbits = features.shape[1], int(self._orbit.max()) + 1
         # Squared distances (orbits, n n g) in each orbit's readings, from every press to every press in every turn.
-        turned_features = np.stack([turns.forth(features, number) for number in range(len(turns))], axis=1)
+        turned_features = np.stack([turns.turn_forth(features, number) for number in range(len(turns))], axis=1)
         turned_features = turned_features.reshape(-1, self._readings)
         self._apart = np.empty((self._orbits, len(features) * len(turned_features)))
         for number, distances in enumerate(self._apart):

@@ -231,7 +231,9 @@ class _Shared:
                 number,
                 turns.signs[number][first_readings],
             )
-        self._values = np.stack([turns.forth(features, number)[:, first_readings] for number in range(len(turns))])
+        self._values = np.stack(
+            [turns.turn_forth(features, number)[:, first_readings] for number in range(len(turns))]
+        )
         self._basis = np.stack([nodes.basis(places_mm @ turn.T) for turn in turns.turns])
         self._sums = self._sum_moments(np.arange(len(places_mm)))
         self._made = [

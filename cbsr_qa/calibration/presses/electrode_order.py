@@ -59,7 +59,7 @@ def find_electrode_order(
     Parameters and errors as for :func:`~cbsr_qa.calibration.presses.registration.register_presses`.
     """
     order = ElectrodeOrder(register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated), pairs)
-    order = _other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
+    order = _try_other_numbering(sheet, order, changes, place_mm, radius_stated=radius_stated) or order
     for _ in range(_MOST_EXCHANGES):
         exchanged = _find_exchange(sheet, order, changes, place_mm, radius_stated=radius_stated)
         if exchanged is None:
@@ -87,14 +87,14 @@ def _find_exchange(
             break
         pairs = _swap(order.pairs, pair)
         registered = register_presses(sheet, pairs, changes, place_mm, radius_stated=radius_stated)
-        if _clearly_better(sheet, order, registered, pairs, changes):
+        if _is_clearly_better(sheet, order, registered, pairs, changes):
             exchange_words = f"electrodes {pair[0]} and {pair[1]} seem to be exchanged"
             finding = f"{exchange_words}: {_share_words(order.registered, registered)}"
             return ElectrodeOrder(registered, pairs, (*order.findings, finding))
     return None
 
 
-def _other_numbering(
+def _try_other_numbering(
     sheet: ModelledSheet, order: ElectrodeOrder, changes: Array, place_mm: Array, *, radius_stated: bool
 ) -> ElectrodeOrder | None:
     """Measuring electrodes numbered from another start or in reverse, if presses are then likelier.
@@ -162,7 +162,7 @@ class _Evidence:
         return log_likelihood(correlation)
 
 
-def _clearly_better(
+def _is_clearly_better(
     sheet: ModelledSheet, order: ElectrodeOrder, other: Registered, pairs: Indices, changes: Array
 ) -> bool:
     before, after = order.registered.registration, other.registration

@@ -56,7 +56,7 @@ class PressReadings:
     time_s: Array | None = None
     columns: tuple[str, ...] = ()
 
-    def some(self, rows: Indices) -> "PressReadings":
+    def select(self, rows: Indices) -> "PressReadings":
         """Select presses, in the order of ``rows``."""
         return replace(self, changes=self.changes[rows], time_s=None if self.time_s is None else self.time_s[rows])
 
@@ -77,9 +77,9 @@ class LabelledPresses:
     presses: PressTable
     row_shift: int = 0
 
-    def some(self, rows: Indices) -> "LabelledPresses":
+    def select(self, rows: Indices) -> "LabelledPresses":
         """Select presses, in the order of ``rows``."""
-        return replace(self, readings=self.readings.some(rows), presses=self.presses.some(rows))
+        return replace(self, readings=self.readings.select(rows), presses=self.presses.select(rows))
 
     def follow_places(self) -> bool:
         """Whether presses were made in order of places, as on a raster, so that drift cannot be separated from place.
@@ -145,7 +145,7 @@ def shift_rows(labelled: LabelledPresses, shift: int) -> LabelledPresses:
             remedy="give a shift by a few rows",
         )
     rows = np.arange(max(0, -shift), count - max(0, shift))
-    readings, presses = labelled.readings.some(rows), labelled.presses.some(rows + shift)
+    readings, presses = labelled.readings.select(rows), labelled.presses.select(rows + shift)
     return replace(labelled, readings=readings, presses=presses, row_shift=shift)
 
 

@@ -16,10 +16,10 @@ from cbsr_qa.calibration.presses.electrode_order import ElectrodeOrder, find_ele
 from cbsr_qa.calibration.presses.inputs import LabelledPresses, check_inside, find_outline
 from cbsr_qa.calibration.presses.likeness import answering_side
 from cbsr_qa.calibration.presses.odd_labels import (
-    far_from_their_labels,
     list_ignored_columns,
     list_unused_electrodes,
-    off_the_sheet,
+    name_far_from_labels,
+    name_off_sheet,
 )
 from cbsr_qa.calibration.presses.row_order import RowOrder, find_row_order, guess_error
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
@@ -156,11 +156,9 @@ def learn_presses(labelled: LabelledPresses, *, tell: Tell = lambda stage: None)
     weak_findings = (
         words for name, quantity in quantities.items() for words in _warn_of_poor_estimate(name, quantity)
     )
-    press_findings = (
-        *far_from_their_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),
-    )
+    press_findings = (*name_far_from_labels(presses, np.flatnonzero(used_mask)[held_out.presses], held_out.found_mm),)
     if registration.trusted:
-        press_findings += (*off_the_sheet(presses, registration, outline),)
+        press_findings += (*name_off_sheet(presses, registration, outline),)
     unused_electrodes = list_unused_electrodes(readings.distinct.pairs, labelled.sensor_type.electrodes.count)
     reading_findings = (
         *list_ignored_columns(presses),

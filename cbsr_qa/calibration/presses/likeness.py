@@ -6,7 +6,12 @@ from typing import Final
 import numpy as np
 from scipy.ndimage import distance_transform_edt
 
-from cbsr_qa.calibration.place.modelled import log_likelihood, log_likelihood_slopes, most_alike, unit_rows
+from cbsr_qa.calibration.place.modelled import (
+    interpolate_most_alike,
+    log_likelihood,
+    log_likelihood_slopes,
+    unit_rows,
+)
 from cbsr_qa.calibration.presses.weak_loads import STEP, ModelledSheet
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.answering import AnsweringSide, compare_sides
@@ -74,7 +79,7 @@ class Likeness:
         selected._rough = self._rough[presses]
         return selected
 
-    def roughly(self, places: Array) -> Array:
+    def approximate(self, places: Array) -> Array:
         """Log likelihood of each press, linear between nodes: a fifth of the work, to choose where to begin."""
         (x, y), first = self._locate_in_grid(places)
         flat, width = self._rough.ravel(), self._width
@@ -138,7 +143,7 @@ class Likeness:
 
     def best_places(self) -> Array:
         """Most likely place (n, 2) of each press, in radii, interpolated by parabolas."""
-        return STEP * most_alike(self._node, self._alike)
+        return STEP * interpolate_most_alike(self._node, self._alike)
 
 
 def _weights(t: Array, polynomials: Array) -> Array:

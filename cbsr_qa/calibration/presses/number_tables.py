@@ -152,7 +152,7 @@ def _content(path: Path) -> _Content:
 def _csv(path: Path, file: BinaryIO) -> _Content:
     try:
         text = io.TextIOWrapper(file, encoding="utf-8-sig", newline="")
-        lines = [[cell.strip() for cell in line] for line in csv.reader(_short_lines(path, text))]
+        lines = [[cell.strip() for cell in line] for line in csv.reader(_read_short_lines(path, text))]
     except (UnicodeDecodeError, csv.Error) as error:
         remedy = "save the table as CSV in UTF-8"
         raise RecordingError(f"{path} is not CSV in UTF-8: {error}", remedy=remedy) from error
@@ -179,7 +179,7 @@ def _csv(path: Path, file: BinaryIO) -> _Content:
     return numbers.content(header)
 
 
-def _short_lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
+def _read_short_lines(path: Path, text: io.TextIOWrapper) -> Iterator[str]:
     while line := text.readline(_MAX_LINE_LENGTH):
         if len(line) == _MAX_LINE_LENGTH:
             raise RecordingError(

@@ -20,7 +20,7 @@ _CLEARLY: Final = 2.0
 _MOST_NAMED: Final = 5
 
 
-def off_the_sheet(presses: PressTable, registration: SheetRegistration, outline: SheetOutline) -> Iterator[str]:
+def name_off_sheet(presses: PressTable, registration: SheetRegistration, outline: SheetOutline) -> Iterator[str]:
     """Name presses whose places lie a little outside the outline of the registered sheet."""
     beyond_mm = -outline.clearance_mm(registration.on_sheet_mm(presses.place_mm))
     variance = np.linalg.eigvalsh(registration.covariance_mm2(presses.place_mm))[:, -1]
@@ -30,7 +30,7 @@ def off_the_sheet(presses: PressTable, registration: SheetRegistration, outline:
         yield f"{_count(rows)} outside the sheet, which {outline.words()}: {named}; check the labels"
 
 
-def far_from_their_labels(presses: PressTable, rows: Indices, found_mm: Array) -> Iterator[str]:
+def name_far_from_labels(presses: PressTable, rows: Indices, found_mm: Array) -> Iterator[str]:
     """Name presses that were found far from their labels without learning from them.
 
     Parameters

@@ -109,7 +109,7 @@ class PoseSearch:
             for j, centre in enumerate(shifts):
                 turned = (labelled - centre) * np.exp(-length - 1j * ROTATIONS)[:, None]
                 places = np.stack([turned.real, -turned.imag if mirrored else turned.imag], axis=-1)
-                values[i, j] = searched_likeness.roughly(places).sum(axis=1) + self._prior(length)[0]
+                values[i, j] = searched_likeness.approximate(places).sum(axis=1) + self._prior(length)[0]
         best = np.argsort(values, axis=None)[::-1][::_CANDIDATES][:_CANDIDATES]
         size, shift, rotation = np.unravel_index(best, values.shape)
         starts: Array = np.column_stack([shifts[shift].real, shifts[shift].imag, ROTATIONS[rotation], sizes[size]])

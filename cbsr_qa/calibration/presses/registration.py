@@ -110,7 +110,9 @@ def maximise_over_turns(
     for sign in (1, -1):
         likeness = Likeness(sheet, pairs[side.answers], sign * changes[:, side.answers])
         for places in (turned_places, turned_places.conj()):
-            values.append(float(likeness.roughly(np.stack([places.real, places.imag], axis=-1)).sum(axis=1).max()))
+            values.append(
+                float(likeness.approximate(np.stack([places.real, places.imag], axis=-1)).sum(axis=1).max())
+            )
     return max(values)
 
 

@@ -46,7 +46,7 @@ class PressTable:
     force_N: Array | None
     time_s: Array | None
 
-    def some(self, rows: Indices) -> "PressTable":
+    def select(self, rows: Indices) -> "PressTable":
         """Select labels, in the order of ``rows``."""
         depth_mm, force_N, time_s = (
             None if column is None else column[rows] for column in (self.depth_mm, self.force_N, self.time_s)

@@ -330,6 +330,6 @@ def read_value(quantity: TouchValues | None, frame: int) -> tuple[float | None, 
     return float(quantity.values[frame]), inner, outer
 
 
-def whole_readings(frames: FrameBlock) -> Array:
+def mask_unusable(frames: FrameBlock) -> Array:
     """Return readings (n, drives, measures) as they are, NaN where they say nothing of the sheet."""
     return np.where((frames.flags & UNUSABLE) != 0, np.nan, frames.voltages)

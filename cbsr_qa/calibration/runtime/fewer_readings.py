@@ -10,7 +10,7 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.domain.goodness import unlike_model
+from cbsr_qa.domain.goodness import deviates_from_model
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.results.calibration import ForceModel
 
@@ -67,7 +67,9 @@ def offset_between(model: ForceModel, difference: Array) -> Mask:
     rows = difference @ model.merging.T / np.sqrt(2)
     size = (rows @ offset_row(model)) ** 2
     residual_square = (rows**2).sum(axis=1) - size
-    offset_mask: Mask = (size > LEAST_OFFSET) & ~unlike_model(size, residual_square, rows.shape[1], 1 - BY_OFFSET)
+    offset_mask: Mask = (size > LEAST_OFFSET) & ~deviates_from_model(
+        size, residual_square, rows.shape[1], 1 - BY_OFFSET
+    )
     return offset_mask
 
 

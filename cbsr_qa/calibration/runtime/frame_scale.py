@@ -5,7 +5,7 @@ from typing import Final, Self
 
 import numpy as np
 
-from cbsr_qa.calibration.runtime.estimator import whole_readings
+from cbsr_qa.calibration.runtime.estimator import mask_unusable
 from cbsr_qa.domain.errors import RecordingError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
@@ -38,7 +38,7 @@ class FrameScale:
 
     def voltages(self, frames: FrameBlock) -> Array:
         """Return (n, drives, measures) voltages at the calibration's current [V], NaN where flagged."""
-        return (whole_readings(frames) - self.own) * self.ratio + self.reference
+        return (mask_unusable(frames) - self.own) * self.ratio + self.reference
 
     @classmethod
     def from_frames(cls, issued: Calibration, name: str, frames: FrameBlock, reference: int | None) -> Self:
@@ -57,7 +57,7 @@ class FrameScale:
             If unit or current are not stated, or the first frames are not those of this sensor.
         """
         if reference is not None:
-            return cls._against_own(issued, name, frames, reference)
+            return cls._from_own_reference(issued, name, frames, reference)
         if frames.unit is not VoltageUnit.VOLT:
             raise RecordingError(
                 f"{name} holds readings in {frames.unit.value} without their scale; the calibration of"
@@ -77,13 +77,13 @@ class FrameScale:
         return cls(calibrated_A / current_A, remarks=(remark,))
 
     @classmethod
-    def _against_own(cls, issued: Calibration, name: str, frames: FrameBlock, count: int) -> Self:
+    def _from_own_reference(cls, issued: Calibration, name: str, frames: FrameBlock, count: int) -> Self:
         if not 1 <= count <= len(frames):
             raise RecordingError(
                 f"--reference {count} of {name}, which holds {len(frames)} frames; 1 to {len(frames)} are allowed"
             )
         used_mask = issued.reconstruction.problem.used
-        mean_frame, reference = whole_readings(frames)[:count].mean(axis=0), issued.reference
+        mean_frame, reference = mask_unusable(frames)[:count].mean(axis=0), issued.reference
         mean_readings, reference_readings = mean_frame[used_mask], reference[used_mask]
         if not np.isfinite(mean_readings).all():
             raise RecordingError(f"a used reading of the first {count} frames of {name} is missing or saturated")

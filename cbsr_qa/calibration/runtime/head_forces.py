@@ -17,8 +17,8 @@ from cbsr_qa.calibration.force.inverse import (
     forces_together,
     join_forces,
     least_force_N,
+    make_empty_frame,
     map_tables,
-    nothing_together,
     range_flags,
 )
 from cbsr_qa.calibration.force.multi_load import HeadCounter, Heads
@@ -27,7 +27,7 @@ from cbsr_qa.calibration.force.template_matching import Matches, TemplateFilter,
 from cbsr_qa.calibration.runtime.fewer_readings import BY_OFFSET, LEAST_OFFSET
 from cbsr_qa.calibration.runtime.frames import SensorFrames
 from cbsr_qa.domain.errors import CalibrationError
-from cbsr_qa.domain.goodness import unlike_model
+from cbsr_qa.domain.goodness import deviates_from_model
 from cbsr_qa.domain.numbers import Array, Indices, Mask, real_numbers
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.domain.results.calibration import ForceModel
@@ -130,7 +130,7 @@ class HeadForces(SensorFrames):
                 forces = usable._force(changes[part_mask], bad[part_mask] | flag, part_places, head)
                 forces_by_part.append((np.flatnonzero(part_mask), forces))
             return join_forces(forces_by_part)
-        other_strength = self._others(rows, matches, finder)
+        other_strength = self._measure_further_heads(rows, matches, finder)
         if places is None:
             widened = finder.ambiguous(rows, matches) if self._fewer else matches
             modelled = add_scatter(widened, finder.size_slope(widened.place_mm), self.model.place_scatter_mm)
@@ -168,11 +168,15 @@ class HeadForces(SensorFrames):
         for usable, frame_indices, flags in self.sound_parts(voltages):
             changes, bad_flags = usable.changes_of(voltages[frame_indices])
             forces_by_frame |= dict(
-                zip(frame_indices.tolist(), usable._several(changes, bad_flags | flags, at_most, head), strict=True)
+                zip(
+                    frame_indices.tolist(),
+                    usable._estimate_several(changes, bad_flags | flags, at_most, head),
+                    strict=True,
+                )
             )
         return tuple(forces_by_frame[frame] for frame in range(len(voltages)))
 
-    def _several(self, changes: Array, bad: Indices, at_most: int, head: Indenter) -> list[SeveralForces]:
+    def _estimate_several(self, changes: Array, bad: Indices, at_most: int, head: Indenter) -> list[SeveralForces]:
         finder, rows = self._filter(head), changes @ self._merging
         matches = finder.search(rows)
         least_gain = self.model.threshold**2
@@ -184,26 +188,26 @@ class HeadForces(SensorFrames):
         several_forces = []
         for frame, flag in enumerate(bad.tolist()):
             if flag & NO_FORCE:
-                frame_forces = nothing_together(np.nan, np.nan, Flag(flag))
+                frame_forces = make_empty_frame(np.nan, np.nan, Flag(flag))
             elif offset_mask[frame]:
                 single_frame = slice(frame, frame + 1)
-                frame_forces = self.level()._several(
+                frame_forces = self.level()._estimate_several(
                     changes[single_frame], bad[single_frame] | int(Flag.OFFSET), at_most, head
                 )[0]
             elif matches.gain[frame] < least_gain and not several_mask[frame]:
-                frame_forces = nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
+                frame_forces = make_empty_frame(0.0, self.least_force_N, Flag.NOT_DETECTED)
             else:
                 most_heads = at_most if several_mask[frame] else 1
                 heads, unexplained = counter.heads(rows[frame], matches.place_mm[frame], most_heads)
-                frame_forces = self._together(heads, unexplained if several_mask[frame] else 0.0, finder, head)
+                frame_forces = self._combine_heads(heads, unexplained if several_mask[frame] else 0.0, finder, head)
             several_forces.append(replace(frame_forces, flags=frame_forces.flags | Flag(flag)))
         return several_forces
 
-    def _together(
+    def _combine_heads(
         self, heads: Heads | None, unexplained: float, finder: TemplateFilter, head: Indenter
     ) -> SeveralForces:
         if heads is None:
-            return nothing_together(0.0, self.least_force_N, Flag.NOT_DETECTED)
+            return make_empty_frame(0.0, self.least_force_N, Flag.NOT_DETECTED)
         error = self._size_error(self._size(head), heads.place_mm)
         heads = heads.add_scatter(finder.size_slope(heads.place_mm), self.model.place_scatter_mm).unsure(error)
         together = forces_together(
@@ -229,7 +233,7 @@ class HeadForces(SensorFrames):
         matches = matches or self._filter(head).search(changes @ self._merging)
         offset_mask = np.zeros(len(changes), dtype=np.bool_)
         freedom, residual_energy = len(self._merging.T), matches.energy - matches.gain
-        unlike_frames = np.flatnonzero(unlike_model(matches.gain, residual_energy, freedom, self.model.misfit))
+        unlike_frames = np.flatnonzero(deviates_from_model(matches.gain, residual_energy, freedom, self.model.misfit))
         if self._level is not self and len(unlike_frames):
             level = self.level()
             levelled_matches = level._filter(head).search(changes[unlike_frames] @ level._merging)
@@ -272,7 +276,7 @@ class HeadForces(SensorFrames):
             )
         return places
 
-    def _others(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
+    def _measure_further_heads(self, rows: Array, matches: Matches, finder: TemplateFilter) -> Array:
         """Strength (n,) of further heads relative to the found one; 0 for a single head."""
         other_strength = np.zeros(len(rows))
         residual_energy, gain = matches.energy - matches.gain, matches.gain
@@ -291,7 +295,7 @@ class HeadForces(SensorFrames):
             clear_mask = second_gain >= self.model.threshold**2 + self.model.misfit * gain_there
             other_strength[searched_frames] = np.where(clear_mask & (ratio > _LEFT_BEHIND), ratio, 0.0)
         # Part that no template explains beyond noise, relative to the first head's.
-        unlike_mask = unlike_model(gain, residual_energy, freedom, max(self.model.misfit, _UNLIKE))
+        unlike_mask = deviates_from_model(gain, residual_energy, freedom, max(self.model.misfit, _UNLIKE))
         share = np.sqrt(np.maximum(residual_energy - freedom, 0.0) / np.maximum(gain, 1.0))
         return np.where(unlike_mask, np.maximum(other_strength, share), other_strength)
 

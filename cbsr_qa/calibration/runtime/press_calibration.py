@@ -32,8 +32,8 @@ from cbsr_qa.calibration.runtime.estimator import (
     Touches,
     TouchValues,
     UnloadedFrames,
+    mask_unusable,
     require_ability,
-    whole_readings,
 )
 from cbsr_qa.calibration.runtime.frames import read_frames
 from cbsr_qa.domain.errors import CalibrationError, RecordingError
@@ -205,7 +205,7 @@ class PressCalibration:
                 raise RecordingError(f"--reference {unloaded.first} of {name}; it holds {len(first)} frames")
             rest_frames = first.select(slice(0, unloaded.first))
         usable_mask = self.pattern.usable()
-        rest_readings = None if rest_frames is None else whole_readings(rest_frames)[:, usable_mask]
+        rest_readings = None if rest_frames is None else mask_unusable(rest_frames)[:, usable_mask]
         if rest_readings is not None and not np.isfinite(rest_readings).all():
             frames_name = (
                 f"the first {unloaded.first} frames of {name}" if unloaded.first else f"the frames at rest of {name}"
@@ -279,7 +279,7 @@ class _Sequence:
     remarks: tuple[str, ...]
 
     def estimate(self, frames: FrameBlock) -> Touches:
-        return self.estimate_rows(whole_readings(frames)[:, self.usable] - self.rest)
+        return self.estimate_rows(mask_unusable(frames)[:, self.usable] - self.rest)
 
 
 def check_pressed_recording(recording: Recording, pattern: DrivePattern) -> None:

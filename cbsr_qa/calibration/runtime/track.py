@@ -220,12 +220,12 @@ class Track:
             is_off = abs(load_strength - expected) > max(
                 _OFF * float(np.hypot(stderr, self.noise)), _OFF_SHARE * abs(load_strength)
             )
-            is_off |= self._off_together()
+            is_off |= self._are_off_together()
             self._off = self._off + 1 if is_off and held_s > _EARLY * patience_s(model) else 0
             if self._off >= _BELIEVED:
                 self._changed = (time_s, load_strength)
 
-    def _off_together(self) -> bool:
+    def _are_off_together(self) -> bool:
         """Whether the last frames together deviate from the prediction of those before."""
         if self._promise is None or self._promise.frames < _LAST // 2:
             return False

@@ -192,7 +192,7 @@ class ForceStream:
         """
         residual = self._explain(rows)
         residual_match = self._filter.search(residual[None])
-        if not self._another(residual_match):
+        if not self._shows_another(residual_match):
             return residual_match
         for track in self._tracks:
             if not track.fresh:
@@ -203,13 +203,13 @@ class ForceStream:
             if np.isfinite(new_template).all():
                 track.move(match.place_mm[0], new_template, self._base(new_template))
                 next_match = self._filter.search(self._explain(rows)[None])
-                if not self._another(next_match):
+                if not self._shows_another(next_match):
                     return next_match
                 track.move(place, template, self._base(template))
                 self._explain(rows)
         return residual_match
 
-    def _another(self, match: Matches) -> bool:
+    def _shows_another(self, match: Matches) -> bool:
         """Whether the residual of a frame is more than noise, and more than a template's error."""
         gain = float(match.gain[0])
         explained = sum(track.strength**2 * float(track.template @ track.template) for track in self._tracks)
@@ -224,7 +224,7 @@ class ForceStream:
     def _begin(self, match: Matches) -> bool:
         """Begin a track if what is in the residual is another load; return whether it did."""
         sign = self._calibration.sign
-        if not self._another(match) or float(match.strength[0]) * sign < 0:
+        if not self._shows_another(match) or float(match.strength[0]) * sign < 0:
             return False
         pressing = [track for track in self._tracks if track.pressing]
         nearest_mm = min((track.distance_mm(match.place_mm[0]) for track in pressing), default=np.inf)

@@ -118,7 +118,9 @@ class SheetDesign:
     rings: tuple[HeadRing, ...] = (HeadRing(1.0, 1.0),)
 
     @classmethod
-    def plain(cls, sensor_type: SensorType, indenter: Indenter, contact_length_mm: float = CONTACT_LENGTH_MM) -> Self:
+    def make_uniform(
+        cls, sensor_type: SensorType, indenter: Indenter, contact_length_mm: float = CONTACT_LENGTH_MM
+    ) -> Self:
         """The sheet of a scene without effects: uniform, electrodes in place, equal contacts."""
         count = sensor_type.electrodes.count
         return cls(sensor_type, indenter, np.full(count, contact_length_mm), np.zeros((count, 2)))

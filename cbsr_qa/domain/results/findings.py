@@ -178,10 +178,10 @@ class Motion:
     def words(self) -> str:
         """Describe the path: start, end and direction."""
         places = "from " + " to ".join(place_in_words(*place, self.electrodes) for place in (self.begins, self.ends))
-        way = self._way()
+        way = self._describe_way()
         return f"{places}, {way}" if way else places
 
-    def _way(self) -> str:
+    def _describe_way(self) -> str:
         if self.nearest_r_over_R < _AT_CENTRE:
             return "through the centre"
         sense = f"towards {'higher' if self.turns > 0 else 'lower'} electrode numbers"

@@ -52,12 +52,12 @@ class PatternTurns:
     def __len__(self) -> int:
         return len(self.turns)
 
-    def back(self, features: Array, turn: int) -> Array:
+    def turn_back(self, features: Array, turn: int) -> Array:
         """Features (n, m) of the same presses on a sheet turned back."""
         turned: Array = features[:, self.permuted[turn]] * self.signs[turn]
         return turned
 
-    def forth(self, features: Array, turn: int) -> Array:
+    def turn_forth(self, features: Array, turn: int) -> Array:
         """Features (n, m) of the same presses on the sheet turned."""
         turned = np.empty_like(features)
         turned[:, self.permuted[turn]] = features * self.signs[turn]

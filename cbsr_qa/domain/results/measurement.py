@@ -58,17 +58,17 @@ class Measurement:
         texts = {field: getattr(self, field) for field in _TEXTS}
         for field, text in texts.items():
             if not isinstance(text, str):
-                raise self._wrong(field, text, "text")
+                raise self._refuse(field, text, "text")
         for field, number in (("value", self.value), ("uncertainty", self.uncertainty)):
             try:
                 finite = number is None or bool(abs(number) < float("inf"))
             except (TypeError, ValueError):  # a plugin's own type
-                raise self._wrong(field, number, "a number") from None
+                raise self._refuse(field, number, "a number") from None
             if not finite:
                 raise RefusedError(f"measurement {self.name}: {number} is not a finite number")
         check_encodable(f"measurement {self.name!r}", *texts.values())
 
-    def _wrong(self, field: str, found: object, allowed: str) -> RefusedError:
+    def _refuse(self, field: str, found: object, allowed: str) -> RefusedError:
         name = self.name if isinstance(self.name, str) else with_type(self.name)
         return RefusedError(f"measurement {name}: {field} is {with_type(found)}, not {allowed}")
 

@@ -53,7 +53,7 @@ def event_document(event: RunEvent | RunConcluded) -> dict[str, Any]:
 
 
 @document_of.register
-def _itself(
+def _pass_unchanged(
     event: PhaseFinished
     | RunPaused
     | RunContinued

@@ -22,7 +22,7 @@ def was_emergency(detail: str) -> bool:
     return EMERGENCY.format("") in detail or SECOND_SIGNAL in detail
 
 
-def who_stopped(detail: str) -> str:
+def name_stopper(detail: str) -> str:
     """Return who aborted a run, from the detail of its end; the rest of it is the step."""
     return detail.removeprefix("by ").partition(", ")[0].removesuffix(" (remote)")
 

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from scipy.special import chdtrc, ndtr, ndtri
 
 from cbsr_qa.domain.errors import NumericsError
-from cbsr_qa.domain.goodness import LEAST_EXPLAINED, share_explained, unlike_model
+from cbsr_qa.domain.goodness import LEAST_EXPLAINED, deviates_from_model, share_explained
 from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.readings.load_estimates import Estimated, LoadEstimate, LoadFinding
 from cbsr_qa.eit.estimate.fit import SURE, Fits, LoadFitter, spread_covariance
@@ -170,7 +170,7 @@ class LoadEstimator:
         gain = (fits.empty_misfit - fits.misfit) / inflation
         detectability = np.sqrt(np.maximum(gain - unknowns, 0))
         explained_squares = fits.empty_misfit - fits.misfit
-        unlike_mask = unlike_model(explained_squares, fits.misfit, freedom)
+        unlike_mask = deviates_from_model(explained_squares, fits.misfit, freedom)
         seen_mask = (gain >= DETECTED_GAIN) & (detectability >= LEAST_DETECTABILITY) & fits.converged & ~unlike_mask
         covariance = self._covariance(fits, np.flatnonzero(seen_mask), detectability) * inflation[:, None, None]
         place = np.sqrt((covariance[:, 0, 0] + covariance[:, 1, 1]) / 2)

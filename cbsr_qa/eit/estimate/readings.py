@@ -12,7 +12,7 @@ from cbsr_qa.domain.numbers import Array, Indices, Mask
 from cbsr_qa.domain.sensor.electrodes import ElectrodeKind
 from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.domain.sensor.sensor_type import SensorType
-from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, make_uniform_model
 from cbsr_qa.eit.loads.meshed_sheet import MeshedSheet
 from cbsr_qa.eit.loads.pinned_disc import PinnedDisc
 from cbsr_qa.eit.loads.round_load import RoundLoadModel
@@ -30,7 +30,7 @@ def load_model(sensor_type: SensorType) -> RoundLoadModel:
     if round_sheet and sensor_type.electrodes.kind is ElectrodeKind.PIN:
         sheet = PinnedDisc(sensor_type.radius_mm, sensor_type.electrodes, NOMINAL_CONTACT_MM)
         return RoundLoadModel(sheet, sensor_type.pattern)
-    model = even_model(sensor_type, _MESH_SIZE)
+    model = make_uniform_model(sensor_type, _MESH_SIZE)
     return RoundLoadModel(MeshedSheet(model, sensor_type.radius_mm), sensor_type.pattern)
 
 

@@ -77,7 +77,7 @@ class Cover:
                 f"a relative change of {relative[bad_indices[0]]} leaves no positive conductance",
                 remedy="stay over −1",
             )
-        spread = self._within(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
+        spread = self._clip_spread(np.minimum(1.0, 1 + relative) / (2 * np.maximum(np.abs(relative), 0.01)))
         relative = relative[:, None]
         along_factor = 1 + spread * relative
         across_factor = 1 / (1 - spread * relative / (1 + relative))
@@ -86,7 +86,7 @@ class Cover:
         change: Array = (along_factor - 1)[..., None, None] * np.eye(2) + turned
         return change * conductance[self.elements, None, None, None]
 
-    def _within(self, margin: Array) -> Array:
+    def _clip_spread(self, margin: Array) -> Array:
         """The spread, shrunk towards the share until it leaves [0, 1] by no more than the allowed amount."""
         away = self.spread - self.share[:, None]
         above, below = away.max(axis=1), -away.min(axis=1)

@@ -122,7 +122,7 @@ class Assignment:
         """Whether every load has its own region, shared with no other load."""
         return not self.merged and not self.missed
 
-    def fate(self, load: int) -> str:
+    def name_outcome(self, load: int) -> str:
         """Fate of a load: ``"apart"``, ``"merged"`` (also for the load that owns the region) or ``"missed"``."""
         if load in self.missed:
             return "missed"

@@ -68,9 +68,9 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     # Both relative to their means: the origin may be far from all places.
     nominal_centred, seen_centred = p - p.mean(), q - q.mean()
     size, seen_size = float((np.abs(nominal_centred) ** 2).sum()), float((np.abs(seen_centred) ** 2).sum())
-    if _one_place(p, size):
+    if _is_one_place(p, size):
         raise NumericsError("all loads were pressed at one place", remedy="press at different places")
-    if _one_place(q, seen_size) or seen_size < _SEEN_APART**2 * size:
+    if _is_one_place(q, seen_size) or seen_size < _SEEN_APART**2 * size:
         raise NumericsError("all loads are seen at one place, wherever they were pressed")
     factor = complex((nominal_centred.conj() * seen_centred).sum() / size)
     _refuse_mirrored(factor, complex((nominal_centred * seen_centred).sum() / size), seen_size / size)
@@ -91,7 +91,7 @@ def register(nominal_mm: Array, seen_mm: Array) -> Registration:
     )
 
 
-def _one_place(places: NDArray[np.complex128], size: float) -> bool:
+def _is_one_place(places: NDArray[np.complex128], size: float) -> bool:
     """Whether places differ by rounding only; ``size`` sums their squared distances from their mean."""
     rounding = max(1e-9, 8 * float(np.finfo(np.float64).eps * np.abs(places).max()))
     return not size > len(places) * rounding**2

@@ -63,7 +63,7 @@ def ridge_reconstruction(
     """
     search = RidgeSearch(problem, prior_of(problem))
     value, how, curve = regularisation.choose(
-        problem, lambda base: search if _same_system(base, problem) else RidgeSearch(base, prior_of(base))
+        problem, lambda base: search if _share_system(base, problem) else RidgeSearch(base, prior_of(base))
     )
     matrix = search.spectrum.check_and_form_matrix(value)
     areas, variance = problem.mesh.areas_mm2, problem.noise_variance
@@ -72,7 +72,7 @@ def ridge_reconstruction(
     return LinearReconstruction(method, problem, matrix, choice), search.spectrum
 
 
-def _same_system(one: ImagingProblem, other: ImagingProblem) -> bool:
+def _share_system(one: ImagingProblem, other: ImagingProblem) -> bool:
     """Whether two problems differ at most in their readings: one decomposition then serves both."""
     if one is other:
         return True

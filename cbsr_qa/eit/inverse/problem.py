@@ -138,7 +138,7 @@ def find_masked_electrodes(pattern: DrivePattern, used: Mask) -> tuple[int, ...]
 
 
 @lru_cache(maxsize=8)
-def even_model(sensor_type: SensorType, mesh_size: float) -> ForwardModel:
+def make_uniform_model(sensor_type: SensorType, mesh_size: float) -> ForwardModel:
     """Homogeneous sheet of unit conductance with nominal contacts, in elements of the second order.
 
     ``mesh_size``: edge length far from electrodes, of the sheet's radius.
@@ -150,7 +150,7 @@ def even_model(sensor_type: SensorType, mesh_size: float) -> ForwardModel:
 
 def nominal_model(sensor_type: SensorType) -> ForwardModel:
     """Homogeneous sheet at unit conductance; made once per process and sensor type."""
-    return even_model(sensor_type, _FORWARD_SIZE)
+    return make_uniform_model(sensor_type, _FORWARD_SIZE)
 
 
 def target_signal(problem: ImagingProblem, *, x_mm: float, y_mm: float, radius_mm: float, contrast: float) -> Array:

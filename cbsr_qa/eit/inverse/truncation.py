@@ -59,7 +59,7 @@ class Truncation:
         """True: components are counted."""
         return True
 
-    def within(self, target: float) -> int:
+    def count_components(self, target: float) -> int:
         """Most components whose noise figure is at most a target, for a problem other than the type's nominal one.
 
         Noise is that of the quiet readings (harmonic mean of the variances).

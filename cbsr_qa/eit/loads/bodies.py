@@ -195,7 +195,7 @@ class DeepTank:
         angle = np.arctan2(places[:, 1], places[:, 0])
         order = np.arange(_ORDERS + 1)
         value, slope, bend = (self._radials.derivative(k)(radius) if k else self._radials(radius) for k in range(3))
-        cosine, sine = self._around(angle, np.cos), self._around(angle, np.sin)
+        cosine, sine = self._evaluate_waves(angle, np.cos), self._evaluate_waves(angle, np.sin)
 
         def series(coefficients: Array, waves: tuple[Array, Array], turned: bool) -> Array:
             """Sum over orders at each place and electrode of coefficient × cos or sin of m(φ − θ)."""
@@ -213,13 +213,13 @@ class DeepTank:
         return first, second
 
     @staticmethod
-    def _around(angle: Array, wave: np.ufunc) -> Array:
+    def _evaluate_waves(angle: Array, wave: np.ufunc) -> Array:
         waves: Array = wave(angle[:, None] * np.arange(_ORDERS + 1))
         return waves
 
     @cached_property
     def _at_electrodes(self) -> tuple[Array, Array]:
-        return self._around(self._angles, np.cos), self._around(self._angles, np.sin)
+        return self._evaluate_waves(self._angles, np.cos), self._evaluate_waves(self._angles, np.sin)
 
     @cached_property
     def _radials(self) -> "CubicSpline":

@@ -15,7 +15,7 @@ from cbsr_qa.domain.errors import NumericsError
 from cbsr_qa.domain.numbers import Array, Indices
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.loads.patches import ElementChanges, PatchStack, Sized, check_change
-from cbsr_qa.eit.loads.rims import InverseEntries, find_outer_nodes, own_rim
+from cbsr_qa.eit.loads.rims import InverseEntries, find_outer_nodes, invert_rim
 
 #: Largest total strength and largest number of overlapping loads that are treated as residues.
 WEAK: Final = 2e-3
@@ -111,7 +111,7 @@ class StackedSeries(Sized):
             change[self._places[number]] += self._series[number](float(strengths[number]))
         return change
 
-    def most(self, strengths: Sequence[float]) -> float:
+    def bound_entries(self, strengths: Sequence[float]) -> float:
         """Upper bound of all entries of the sum; infinite if a strength is beyond its series."""
         if (np.abs(strengths) > self._reach).any():
             return float("inf")
@@ -143,7 +143,7 @@ class Patch:
         self._matrices = ElementChanges(model, self._elements)
         #: (b,) nodes of its rim
         self.rim: Indices = self._stack.rims[0]
-        self._own = own_rim(inverse, self.rim)
+        self._own = invert_rim(inverse, self.rim)
         shape = len(self._elements), len(model.elements.shapes.points), 2, 2
         places = [np.searchsorted(self._elements, family.elements) for family in families]
         self._stacked = StackedSeries([family.change for family in families], places, shape)
@@ -188,7 +188,7 @@ class Patch:
 
     def _exact(self, strengths: Sequence[float]) -> Array:
         change = self._stacked(np.asarray(strengths))
-        if not self._stacked.most(strengths) < _SAFE * self._least:
+        if not self._stacked.bound_entries(strengths) < _SAFE * self._least:
             check_change(self._model, self._elements, change)
         rim_change = self._stack.rim_changes(self._matrices.assemble(change))[0]
         return np.linalg.solve(np.eye(len(rim_change)) + rim_change @ self._own, rim_change)

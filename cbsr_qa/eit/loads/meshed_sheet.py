@@ -91,7 +91,7 @@ class MeshedSheet:
 
     def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
         """Fields of unit currents about places, as in :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
-        poles = [self._about(*part, orders) for part in _parts(place_mm, reach_mm)]
+        poles = [self._expand_about(*part, orders) for part in _parts(place_mm, reach_mm)]
         return np.concatenate([part.fields(self._fields) for part in poles])
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
@@ -105,12 +105,12 @@ class MeshedSheet:
         """
         fields, response = [], []
         for part in _parts(place_mm, reach_mm):
-            about = self._about(*part, orders)
+            about = self._expand_about(*part, orders)
             fields.append(about.fields(self._fields))
             response.append(about.response(self._inverse))
         return Expansion(orders, np.concatenate(fields), np.concatenate(response))
 
-    def _about(self, centre: Complex, reach: Array, orders: int) -> "_Poles":
+    def _expand_about(self, centre: Complex, reach: Array, orders: int) -> "_Poles":
         pole, flux = self._poles(centre, reach, orders)
         mean = np.stack([self._means @ values for values in pole])  # (n, electrodes, 2M)
         contact_drop = pole[:, self._contact] - mean[:, self._owner]

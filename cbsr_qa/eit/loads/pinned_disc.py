@@ -75,7 +75,7 @@ class PinnedDisc:
 
     def fields(self, place_mm: Array, reach_mm: Array, orders: int) -> Array:
         """Fields of unit currents about places, as in :class:`~cbsr_qa.eit.loads.round_load.Expansion`."""
-        return self._about(place_mm, reach_mm, orders)[0]
+        return self._expand_about(place_mm, reach_mm, orders)[0]
 
     def expansion(self, place_mm: Array, reach_mm: Array, orders: int) -> Expansion:
         """Expand about places.
@@ -86,13 +86,13 @@ class PinnedDisc:
         reach_mm : (n,) unit of distances from each place; positive.
         orders : M; the truncation error falls as (reach over the distance of the nearest pin)^(2M).
         """
-        fields, poles, scale = self._about(place_mm, reach_mm, orders)
+        fields, poles, scale = self._expand_about(place_mm, reach_mm, orders)
         weights = np.tile(np.arange(1, orders + 1), 2)
         response = poles @ self._scatter @ (poles.transpose(0, 2, 1) * weights)
         response += _edge_reflection(self._centres(place_mm), orders) * scale * scale.transpose(0, 2, 1)
         return Expansion(orders, fields, response)
 
-    def _about(self, place_mm: Array, reach_mm: Array, orders: int) -> tuple[Array, Array, Array]:
+    def _expand_about(self, place_mm: Array, reach_mm: Array, orders: int) -> tuple[Array, Array, Array]:
         """Fields of currents and of the pins' poles about places, and their scales."""
         centre, reach = self._centres(place_mm), np.asarray(reach_mm) / self.radius_mm
         scale = np.concatenate([_powers(reach, orders)] * 2, axis=-1)[..., None]

@@ -39,7 +39,7 @@ class InverseEntries:
         place = self._place[nodes]
         return self._entries[np.ix_(place, place)]
 
-    def alone(self, nodes: Indices) -> Array:
+    def solve_between(self, nodes: Indices) -> Array:
         """Return the entries between distinct nodes (p,), solved for these alone: (p, p) [V/A].
 
         Identical to the last bit, independent of earlier calls, unlike :meth:`between`.
@@ -138,9 +138,9 @@ def couple_rims(
     return coupling, fields
 
 
-def own_rim(inverse: InverseEntries, rim: Indices) -> Array:
+def invert_rim(inverse: InverseEntries, rim: Indices) -> Array:
     """K₀⁻¹ between the nodes of one rim, without its means; independent of earlier loads."""
-    coupling = inverse.alone(rim)
+    coupling = inverse.solve_between(rim)
     coupling -= coupling.mean(axis=0)
     coupling -= coupling.mean(axis=1)[:, None]
     return coupling

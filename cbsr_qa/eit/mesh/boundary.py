@@ -39,7 +39,7 @@ def growth(size: float, radius: float) -> float:
     return min(_STEEPEST, size / (_REACH * radius))
 
 
-def plain_lengths(size: float, radius: float) -> Grade:
+def grade_lengths(size: float, radius: float) -> Grade:
     """Edge lengths from the least one and the distance from there."""
     slope = growth(size, radius)
     return lambda finest, away: np.minimum(size, finest + slope * np.maximum(away, 0))
@@ -189,7 +189,7 @@ def singular_corners(curve: ClosedCurve, size: float, radius: float, order: int)
     for corner in np.flatnonzero(inner > np.pi + 1e-6):
         exponent = float(np.pi / inner[corner])
         if order == 1:
-            grade, finest = plain_lengths(size, radius), size * FINEST ** (2 * (1 - exponent))
+            grade, finest = grade_lengths(size, radius), size * FINEST ** (2 * (1 - exponent))
         else:
             power = 1 - exponent / 3
             grade, finest = smooth_lengths(size, radius, power), finest_at_corner(size, radius, power)
@@ -229,7 +229,7 @@ def find_fixed_places(curve: ClosedCurve, sizes: Size, strips: Lengths, width: f
     return places[np.roll(gaps, 1) > 1e-9 * curve.perimeter]
 
 
-def short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
+def find_short_edges(points: Points, sizes: Size) -> tuple[Points, Lengths]:
     """Places (w, 2) and lengths (w,) where nodes of a closed line are closer than elements are large."""
     ends = np.roll(points, -1, axis=0)
     middles, length = (points + ends) / 2, np.hypot(*(ends - points).T)

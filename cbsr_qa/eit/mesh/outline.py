@@ -31,13 +31,13 @@ from cbsr_qa.eit.mesh.boundary import (
     edge_nodes,
     edges_round_pin_smoothly,
     find_fixed_places,
+    find_short_edges,
     finest_of_arc,
     finest_smoothly,
+    grade_lengths,
     growth,
     narrow_places,
-    plain_lengths,
     ring_edges,
-    short_edges,
     singular_corners,
     smooth_lengths,
 )
@@ -193,7 +193,7 @@ class _Contacts:
 
     def sources(self, curve: ClosedCurve, size: float, radius: float, order: int) -> Iterator[Source]:
         """Yield the singularities of the field: pins, and ends of strips."""
-        grade = plain_lengths(size, radius) if order == 1 else smooth_lengths(size, radius)
+        grade = grade_lengths(size, radius) if order == 1 else smooth_lengths(size, radius)
         for centre, finest in zip(self.pins.centres, self.pins.finest, strict=True):
             yield Source(centre, self.pins.radius, float(finest), grade)
         finest_of = finest_of_arc if order == 1 else finest_smoothly
@@ -206,7 +206,7 @@ def _fill(curve: ClosedCurve, sizes: SizeField, contacts: _Contacts, start: Poin
     rims = pins.rims()
     points = np.vstack([edge.points, *rims])
     hole = np.repeat(np.arange(-1, len(rims)), [len(edge.points), *map(len, rims)])
-    near = _near_edge(curve, edge.points)
+    near = _measure_edge_distance(curve, edge.points)
 
     def clearance(places: Points) -> Lengths:
         return np.minimum(near(places), pins.distance(places))
@@ -231,7 +231,7 @@ def _place_boundary_nodes(curve: ClosedCurve, sizes: SizeField, contacts: _Conta
         return edge_nodes(curve, sizes, fixed, contacts.strips, contacts.width, contacts.fewest)
 
     edge = spread()
-    sizes = sizes.with_narrow(*short_edges(edge.points, sizes))
+    sizes = sizes.with_narrow(*find_short_edges(edge.points, sizes))
     for _ in range(_ROUNDS):
         edge, rims = spread(), pins.rims()
         rings = [edge.points, *rims]
@@ -266,7 +266,7 @@ def _check_edge(mesh: Mesh, rings: list[Indices], size: float) -> None:
         )
 
 
-def _near_edge(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]:
+def _measure_edge_distance(curve: ClosedCurve, nodes: Points) -> Callable[[Points], Lengths]:
     """Signed distance to the edge: exact near it, and to the nearest node (which is faster) far from it."""
     tree = cKDTree(nodes)
     longest = float(np.hypot(*(nodes - np.roll(nodes, 1, axis=0)).T).max())

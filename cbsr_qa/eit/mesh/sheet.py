@@ -20,7 +20,7 @@ from cbsr_qa.eit.mesh.boundary import (
     edges_round_pin_smoothly,
     finest_of_arc,
     finest_smoothly,
-    plain_lengths,
+    grade_lengths,
     ring_edges,
     smooth_lengths,
     spread,
@@ -119,7 +119,7 @@ def _bound_by_pins(layout: ElectrodeLayout, radius: float, size: float, order: i
         return np.minimum(from_pin(points), radius - np.hypot(points[:, 0], points[:, 1]))
 
     if order == 1:
-        finest_size, grade = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap), plain_lengths(size, radius)
+        finest_size, grade = min(size * FINEST, 2 * np.pi * pin / EDGES_PER_PIN, gap), grade_lengths(size, radius)
     else:
         finest_size = min(2 * np.pi * pin / edges_round_pin_smoothly(size, radius), gap)
         grade = smooth_lengths(size, radius)
@@ -152,7 +152,7 @@ def _bound_by_arcs(layout: ElectrodeLayout, radius: float, size: float, order: i
         fewest_edges, finest_size, grade = (
             EDGES_PER_ARC,
             finest_of_arc(size, radius, layout.width_mm),
-            plain_lengths(size, radius),
+            grade_lengths(size, radius),
         )
     else:
         fewest_edges, finest_size = FEWEST_SMOOTHLY, finest_smoothly(size, radius, layout.width_mm)

@@ -56,7 +56,7 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     boxes = ((0.07, 0.175, 0.3, 0.72), (0.44, 0.175, 0.29, 0.72))
     whole_search = plot(figure, boxes[0], "whole search", x=label, y="noise figure", grid="both")
     around_choices = plot(figure, boxes[1], "around the choices", x=label, grid="both")
-    close_range = near_marks(curve, marks)
+    close_range = choose_range(curve, marks)
     for axes in (whole_search, around_choices):
         axes.set(yscale="log", xscale="linear" if curve.discrete else "log")
         _draw_curve(axes, curve)
@@ -76,7 +76,7 @@ def parameter_figure(curve: ParameterCurve, marks: Sequence[ParameterMark], name
     return figure
 
 
-def near_marks(curve: ParameterCurve, marks: Sequence[ParameterMark]) -> tuple[float, float]:
+def choose_range(curve: ParameterCurve, marks: Sequence[ParameterMark]) -> tuple[float, float]:
     """Return the stretch of the parameter that is drawn large."""
     mark_values = [mark.value for mark in marks if mark.value is not None] or [float(np.median(curve.values))]
     low, high = min(mark_values), max(mark_values)

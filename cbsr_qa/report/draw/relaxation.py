@@ -108,7 +108,7 @@ class SettledLoad:
     strain: float
     relaxations: tuple[RelaxationObservation, ...]
 
-    def one(self, signal: str, loading: bool) -> RelaxationObservation | None:
+    def find(self, signal: str, loading: bool) -> RelaxationObservation | None:
         """Return the relaxation of a signal in a direction; None without one."""
         return next((r for r in self.relaxations if r.signal == signal and r.loading == loading), None)
 
@@ -129,8 +129,8 @@ def relaxation_figure(loads: Sequence[SettledLoad], shown: SettledLoad, signals:
         unit = unit_shown(next(units, ""))
         for column, (loading, direction) in enumerate(_DIRECTIONS):
             axes = plot(figure, grid[row, column], f"{signal} {direction}")
-            _draw_quiet(axes, [load.one(signal, loading) for load in loads if load is not shown])
-            _draw_fit(axes, shown.one(signal, loading))
+            _draw_quiet(axes, [load.find(signal, loading) for load in loads if load is not shown])
+            _draw_fit(axes, shown.find(signal, loading))
             axes.set_xlim(left=0)
             if row == len(signals) - 1:
                 axes.set_xlabel(_TIME_LABEL)
@@ -203,7 +203,7 @@ def _draw_time(axes: Axes, settled_s: float, end_s: float, *, late: bool) -> Non
 def _draw_settling(axes: Axes, loads: Sequence[SettledLoad], signal: str, loading: bool, words: str) -> None:
     colour, shift = (BLUE, -0.13) if loading else (VERMILION, 0.13)
     face = colour if loading else "white"
-    relaxations = [(index, load.one(signal, loading)) for index, load in enumerate(loads)]
+    relaxations = [(index, load.find(signal, loading)) for index, load in enumerate(loads)]
     times = [
         (i + shift, r.settling.value_s, r.settling.censored)
         for i, r in relaxations

@@ -144,7 +144,7 @@ def plot(
     return axes
 
 
-def plain_ticks(axis: Axis, ticks: Sequence[float], text: Callable[[float], str] = "{:g}".format) -> None:
+def place_plain_ticks(axis: Axis, ticks: Sequence[float], text: Callable[[float], str] = "{:g}".format) -> None:
     """Place ticks of a logarithmic axis at those of the values that it shows, written as plain numbers."""
     low, high = axis.get_view_interval()
     axis.set_major_locator(FixedLocator([tick for tick in ticks if low <= tick <= high]))

@@ -124,7 +124,7 @@ class EmulatedApplicator:
         with self._rig.lock:
             *lines, self._partial = (self._partial + data).split(b"\n")
             for line in lines:
-                reply += self._obey(line)
+                reply += self._handle_line(line)
         return reply.encode()
 
     def misbehave(self, fault: Fault) -> None:
@@ -145,7 +145,7 @@ class EmulatedApplicator:
         self._speed_mm_s = 25.0
         self._offset: Position = self._head.target_mm  # the machine position that the firmware now calls 0
 
-    def _obey(self, raw: bytes) -> str:
+    def _handle_line(self, raw: bytes) -> str:
         number, command, problem = read_line(raw, self._last)
         if number is not None and not problem and Fault.RESEND in self._told:
             self._told.discard(Fault.RESEND)

@@ -116,7 +116,7 @@ class EmulatedSourceMeter:
         self._said = bytearray()
         with self._rig.lock:
             for line in lines:
-                self._obey(line.decode("ascii", "replace").strip())
+                self._execute(line.decode("ascii", "replace").strip())
         return bytes(self._said)
 
     def misbehave(self, fault: Fault) -> None:
@@ -177,7 +177,7 @@ class EmulatedSourceMeter:
 
     # --- what it does ---
 
-    def _obey(self, line: str) -> None:
+    def _execute(self, line: str) -> None:
         if line == "*IDN?":
             self._said += _IDENTITY.encode() + b"\n"
         elif line == "*RST":

@@ -160,7 +160,7 @@ class ControlDesk:
             self._wanted_by, self._paused = None, (by, now_s)
         self._wake()
 
-    def who_continued(self) -> str | None:
+    def name_continuer(self) -> str | None:
         """Return who has ended the pause; None while it lasts."""
         with self._lock:
             if self._continued_by is None:

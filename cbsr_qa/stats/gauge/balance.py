@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from itertools import combinations
 from typing import Final
 
-from cbsr_qa.stats.gauge.crossed_study import on, usual_trials
+from cbsr_qa.stats.gauge.crossed_study import count_usual_trials, on
 
 #: Largest number of stations for which every choice is tried (2¹² of them); beyond it, only the best of each size.
 _MOST_TRIED: Final = 12
@@ -39,7 +39,7 @@ def missing_runs(sensors: Sequence[str], stations: Sequence[str], appraiser: str
     ``appraiser``: what the stations are: "station", or "operator" where people are compared.
     """
     cells = _cells(sensors, stations)
-    trials = usual_trials(map(len, cells.values()))
+    trials = count_usual_trials(map(len, cells.values()))
     return tuple(
         f"{sensor} {on(appraiser)} {station} has "
         + (

@@ -183,7 +183,7 @@ def study(
     return Study(table, tuple(rows), tuple(columns), appraiser)
 
 
-def usual_trials(counts: Iterable[int]) -> int:
+def count_usual_trials(counts: Iterable[int]) -> int:
     """Return the most common number of runs per cell (of equally common numbers the larger).
 
     Empty cells do not count, however many they are.
@@ -200,7 +200,7 @@ def on(appraiser: str) -> str:
 def _check_balance(
     cells: dict[tuple[str, str], list[float]], rows: list[str], columns: list[str], appraiser: str
 ) -> None:
-    trials = usual_trials(map(len, cells.values()))
+    trials = count_usual_trials(map(len, cells.values()))
     for (sensor, station), values in cells.items():
         if len(values) != trials:
             raise NumericsError(

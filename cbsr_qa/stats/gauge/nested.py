@@ -22,8 +22,8 @@ from cbsr_qa.stats.gauge.crossed_study import (
     Variance,
     check_tolerance,
     clip_at_zero,
+    count_usual_trials,
     on,
-    usual_trials,
     variation,
 )
 from cbsr_qa.stats.samples import constant, sample, share
@@ -62,13 +62,13 @@ def uneven_parts(parts: Sequence[str], stations: Sequence[str], part: str, appra
         appraisers = sorted(station for other, station in runs if other == name)
         if len(appraisers) > 1:
             problems.append(f"{prefix_kind(part, name)} was run {on(appraiser)} {' and '.join(appraisers)}")
-    trials = usual_trials(runs.values())
+    trials = count_usual_trials(runs.values())
     for (name, station), count in sorted(runs.items()):
         if count != trials:
             has = f"{count} run{'s' * (count != 1)} instead of {trials}"
             problems.append(f"{prefix_kind(part, name)} {on(appraiser)} {station} has {has}")
     numbers = {station: sum(other == station for _, other in runs) for station in sorted(set(stations))}
-    usual = usual_trials(numbers.values())
+    usual = count_usual_trials(numbers.values())
     for station, count in numbers.items():
         if count != usual:
             plural = "" if count == 1 else "es" if part.endswith("h") else "s"
@@ -118,7 +118,7 @@ def nested_study(
             f"1 {part} of {prefix_kind(appraiser, min(columns, key=lambda s: len(names[s])))}",
             min(map(len, names.values())),
         ),
-        (f"1 run of a {part}", usual_trials(runs.values())),
+        (f"1 run of a {part}", count_usual_trials(runs.values())),
     )
     for found, size in sizes:
         if size < 2:

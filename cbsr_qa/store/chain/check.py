@@ -21,7 +21,7 @@ from sqlalchemy.orm import aliased
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.store.archives import read_checked
-from cbsr_qa.store.chain.links import SigningKey, checking_key, few_links, key_id_of, link_digest
+from cbsr_qa.store.chain.links import SigningKey, checking_key, key_id_of, link_digest, make_few_links
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
@@ -32,7 +32,7 @@ from cbsr_qa.store.chain.run_documents import (
     sha256,
     tables,
 )
-from cbsr_qa.store.damage import FOREIGN_CELL, foreign_cell
+from cbsr_qa.store.damage import FOREIGN_CELL, find_foreign_cell
 from cbsr_qa.store.tables.records import MANY_LINKS, LinkRow
 from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow
 from cbsr_qa.store.tables.runs import Base, RunRow, RunStateRow
@@ -94,7 +94,7 @@ def data_digest(connection: Connection, run: str) -> str:
 def unreadable(connection: Connection, run: str, error: Exception) -> StoreError:
     """Return the error for a run that cannot be read: the cell of the wrong type if there is one, else the cause."""
     rows = [(table, select_run(table, run)) for table in (*tables(), Base.metadata.tables[LinkRow.__tablename__])]
-    return foreign_cell(connection, rows, f"run {run}") or _broken(
+    return find_foreign_cell(connection, rows, f"run {run}") or _broken(
         run, f"it cannot be read: {type(error).__name__}: {str(error).partition(chr(10))[0]}"
     )
 
@@ -162,7 +162,7 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
     if kinds:
         query = query.where(link.kind.in_(kinds))
         if not set(kinds).intersection(MANY_LINKS):
-            query = query.where(few_links())
+            query = query.where(make_few_links())
     return connection.execute(query).all()
 
 
@@ -214,7 +214,7 @@ def runs_with_a_gap(connection: Connection, runs: Sequence[str]) -> set[str]:
     """Return the runs that lack a link from their last state on, where their results are."""
     link = LinkRow
     of_states = select(link.run, func.max(link.number).label("number")).where(
-        among(connection, link.run, runs), link.kind == RunStateRow.__tablename__, few_links()
+        among(connection, link.run, runs), link.kind == RunStateRow.__tablename__, make_few_links()
     )
     last = of_states.group_by(link.run).subquery()
     query = (

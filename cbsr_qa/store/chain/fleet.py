@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, Connection, Double, Executable, Select, Te
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.store.chain.check import check_run
-from cbsr_qa.store.chain.links import few_links, key_id_of, link_digest, signing_key
+from cbsr_qa.store.chain.links import key_id_of, link_digest, make_few_links, signing_key
 from cbsr_qa.store.chain.run_documents import FIGURES, contents, words
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.results import AnalysisRow, MeasurementRow
@@ -86,18 +86,18 @@ def check_figures(
         If a row was altered: the message names table and row.
     """
     linked = _read_links(connection, chosen)
-    unlike = _unlike(known, figures, linked)
+    unlike = _find_unlike(known, figures, linked)
     m = MeasurementRow
     for first in range(0, len(unlike), _REREAD_ANALYSES):
         batch = unlike[first : first + _REREAD_ANALYSES]
         places = {known_analysis.analysis: place for place, known_analysis in enumerate(batch)}
         # PostgreSQL fills gaps, so that rows of an analysis may come in another order than they were stored in.
         in_order = figures_query().where(m.analysis.in_(list(places))).order_by(m.analysis, m.number)
-        for altered in _unlike(batch, Figures(connection, in_order, places), linked):
+        for altered in _find_unlike(batch, Figures(connection, in_order, places), linked):
             check_run(connection, altered.run)  # raises, naming the row
 
 
-def _unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, tuple[str, str]]) -> list[Known]:
+def _find_unlike(known: Sequence[Known | None], figures: Figures, linked: dict[str, tuple[str, str]]) -> list[Known]:
     texts = ["" if analysis is None else analysis.facts for analysis in known]
     digests = contents(texts, figures.place, figures.description_index, figures.value, figures.descriptions)
     return [
@@ -115,7 +115,7 @@ def _read_links(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -
         .join(RunRow, RunRow.run == a.run)
         .join(link, (link.run == a.run) & (link.kind == FIGURES) & (link.document == a.analysis))
         .join(before, (before.run == link.run) & (before.number == link.number - 1))
-        .where(*chosen, few_links())
+        .where(*chosen, make_few_links())
     )
     rows = connection.execute(query.execution_options(yield_per=AT_ONCE))
     return dict(_following(connection, rows))

@@ -108,7 +108,7 @@ def canonical(content: Any) -> str:
     return _JSON.encode(content)
 
 
-def _foreign(value: Any) -> str:
+def _replace_foreign(value: Any) -> str:
     """Replace a value of a foreign type, which a reader would round or parse, by one that equals nothing else."""
     return canonical([type(value).__name__, repr(value)])
 
@@ -117,28 +117,28 @@ def double_text(value: Any) -> str:
     """Return a finite number with all of its digits; a foreign value so that it equals nothing else."""
     if type(value) is not float:
         if not isinstance(value, Real):
-            return _foreign(value)
+            return _replace_foreign(value)
         value = float(value)
     # SQLite keeps no −0.
     return float.__repr__(value + 0.0) if value - value == 0 else canonical(value)
 
 
-def _whole(value: Any) -> str:
+def _write_whole(value: Any) -> str:
     if type(value) is int:
         return int.__repr__(value)
     if isinstance(value, Real) and value % 1 == 0:
         whole: Any = value  # a bool, a float or a number of numpy
         return canonical(int(whole))
-    return _foreign(value)
+    return _replace_foreign(value)
 
 
 #: How a value is written in JSON; the tests compare it with :func:`canonical`, which takes twice as long.
 _WRITERS: Final[tuple[tuple[type, Callable[[Any], str]], ...]] = (
     (FiniteDouble, double_text),
-    (Whole, _whole),
+    (Whole, _write_whole),
     (PlainText, lambda value: encode_basestring(str(value).replace("\0", "\ufffd"))),
     (Instant, lambda value: encode_basestring(value.astimezone(UTC).isoformat())),
-    (Boolean, lambda value: canonical(bool(value)) if value in (0, 1) else _foreign(value)),
+    (Boolean, lambda value: canonical(bool(value)) if value in (0, 1) else _replace_foreign(value)),
     (JSON, canonical),
     (Word, lambda value: encode_basestring(str(value))),
     (Digest, lambda value: encode_basestring(str(value))),

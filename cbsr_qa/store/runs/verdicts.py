@@ -99,7 +99,7 @@ def verdict_pages(connection: Connection, runs: Sequence[str]) -> Iterator[list[
         parts = read_apart(
             connection,
             runs[first : first + RUNS_AT_ONCE],
-            lambda batch: list(_each_verdict(connection, batch)),
+            lambda batch: list(_list_verdicts(connection, batch)),
             mark_unreadable,
         )
         yield [verdict for part in parts for verdict in part]
@@ -126,7 +126,7 @@ def _unreadable(connection: Connection, run: str, problem: str) -> list[StoredVe
     ]
 
 
-def _each_verdict(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
+def _list_verdicts(connection: Connection, runs: Sequence[str]) -> Iterator[StoredVerdict]:
     tables = RunRow, RunStateRow, AnalysisRow, VerdictOverrideRow, PartRow
     own, states, analyses, overrides, part_rows = tables_read = [
         read_rows(connection, table, runs) for table in tables

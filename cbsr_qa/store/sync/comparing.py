@@ -124,7 +124,7 @@ def list_runs_only_at_centre(station: Engine, centre: Engine, day: date) -> tupl
         return tuple(name for name in connection.scalars(theirs) if isinstance(name, str) and name not in ours)
 
 
-def other_runs_at_centre(station: Engine, centre: Engine, runs: Collection[str]) -> tuple[str, ...]:
+def name_other_runs(station: Engine, centre: Engine, runs: Collection[str]) -> tuple[str, ...]:
     """Return in words which runs the centre has that follow those of a station's database, and are not in it.
 
     Parameters

@@ -272,7 +272,7 @@ def _read_rows(
     for analysis, content in digests.get(FIGURES, {}).items():
         stored = figures_digest(connection, analysis)
         if stored != content:
-            raise _unlike(run, FIGURES, analysis, stored, content)
+            raise _name_alteration(run, FIGURES, analysis, stored, content)
 
 
 def _rows(
@@ -284,7 +284,7 @@ def _rows(
     stored = documents_in_columns(table, columns, keys)
     for key, content in contents.items():
         if stored.get(key) != content:
-            raise _unlike(run, table.name, key, stored.get(key), content)
+            raise _name_alteration(run, table.name, key, stored.get(key), content)
     if len(stored) > len(contents):  # of earlier or later parcels
         rows = [row for row, key in zip(rows, keys, strict=True) if key in contents]
     check = _CHECKED.get(table.name)
@@ -303,7 +303,7 @@ def _restore_row(row: Any, names: Sequence[str]) -> Sequence[Any]:
     return [values[name] for name in names]
 
 
-def _unlike(run: str, kind: str, key: str, stored: str | None, content: str) -> AlteredError:
+def _name_alteration(run: str, kind: str, key: str, stored: str | None, content: str) -> AlteredError:
     if stored is None:
         what = f"{name_document(kind, key)} was removed: its link is there, the row is not"
     else:

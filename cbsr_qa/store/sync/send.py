@@ -31,7 +31,7 @@ from cbsr_qa.store.sync.comparing import (
     announce_since,
     compare_run,
     list_runs_only_at_centre,
-    other_runs_at_centre,
+    name_other_runs,
 )
 from cbsr_qa.store.sync.items import read_item
 from cbsr_qa.store.sync.parcels import NOTHING, AlteredError, Parcel, Tail, newest_link, read_parcel, read_unchained
@@ -141,7 +141,7 @@ def send_waiting(
         if compare_since is not None:
             sent.added += map(_name_added_run, list_runs_only_at_centre(station, centre, compare_since))
         runs = [entry.item for entry in entries if entry.kind == Kind.RUN]
-        sent.notes += other_runs_at_centre(station, centre, runs)
+        sent.notes += name_other_runs(station, centre, runs)
     return sent
 
 

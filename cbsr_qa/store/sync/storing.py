@@ -45,7 +45,7 @@ def store_parcel(engine: Engine, parcel: Parcel) -> None:
     StoreError
         If the database cannot be reached or written.
     """
-    with _one_transaction(engine) as connection:
+    with _begin_transaction(engine) as connection:
         changes = parcel.rows.get(ConfigurationChangeRow.__tablename__, ())
         column = ConfigurationChangeRow.__table__.columns.keys().index("earlier_run")
         _check_runs(connection, [row[column] for row in changes])
@@ -63,7 +63,7 @@ def store_item(engine: Engine, kind: Kind, name: str, item: Item) -> bool:
     -------
     False if the centre had it.
     """
-    with _one_transaction(engine) as connection:
+    with _begin_transaction(engine) as connection:
         stored = read_item(connection, kind, name)
         if stored is None:
             _check_runs(connection, item.runs)
@@ -74,7 +74,7 @@ def store_item(engine: Engine, kind: Kind, name: str, item: Item) -> bool:
 
 
 @contextmanager
-def _one_transaction(engine: Engine) -> Iterator[Connection]:
+def _begin_transaction(engine: Engine) -> Iterator[Connection]:
     """Begin a transaction in which a row that does not fit raises RowRefusedError."""
     with writing(engine) as connection:
         try:

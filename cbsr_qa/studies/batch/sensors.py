@@ -7,7 +7,7 @@ import numpy as np
 
 from cbsr_qa.analysis.run.compensation import LONG
 from cbsr_qa.analysis.run.force import RunForce, learn_without_tests
-from cbsr_qa.analysis.run.long_holds import LongHolds, long_holds
+from cbsr_qa.analysis.run.long_holds import LongHolds, find_long_holds
 from cbsr_qa.analysis.run.observe import observe_run
 from cbsr_qa.calibration.batch.loads import SensorLoads
 from cbsr_qa.calibration.file.hdf5 import calibration_of
@@ -60,7 +60,7 @@ def observe_sensor(store: Repository, record: RunRecord) -> StoredSensor:
     )
     observation = observe_run(record, method, recipe.analysis, over_time=False)
     loads = map_loads(observation, learn_without_tests(observation))
-    holds, prior = long_holds(observation), recipe.analysis.batch
+    holds, prior = find_long_holds(observation), recipe.analysis.batch
     has_borrowed = prior is not None and prior.relaxation and holds.hold_s < LONG * prior.relaxation.hold_s
     return StoredSensor(
         record,

@@ -104,7 +104,7 @@ def standing(
     A signal is active until :data:`STANDS` points in a row are without one; it began with the first signal connected
     to the latest by gaps of at most :data:`JOINED`.
     """
-    signals = [_standing(chart) for chart in charts if chart.chart.name != UNCOUNTED]
+    signals = [_find_active(chart) for chart in charts if chart.chart.name != UNCOUNTED]
     active_signals = sorted(filter(None, signals), key=lambda signal: signal[0])
     if not active_signals:
         return None
@@ -140,7 +140,7 @@ def _sum_began(charts: Sequence[Charted], begin: int) -> int | None:
     return None
 
 
-def _standing(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
+def _find_active(charted: Charted) -> tuple[int, tuple[str, ...]] | None:
     """Index of the value at which the active signal began, and the rules that signalled since."""
     chart, first_index = charted.chart, len(charted.chart.points)
     for signal in reversed(chart.signals):

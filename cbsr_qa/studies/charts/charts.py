@@ -19,7 +19,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.charts.charting import MetricChart, metric_chart, reference_figures, refuse_chart, standard_of
 from cbsr_qa.studies.charts.request import FEWEST_GROUPS, FEWEST_RUNS, ChartsRequest, ReferencePeriod, check_request
 from cbsr_qa.studies.figure_series import Series, figures_of, series_of
-from cbsr_qa.studies.selection import check_names, clock_notes, likeness_notes, nearest, several_recipes
+from cbsr_qa.studies.selection import check_names, clock_notes, describe_recipes, likeness_notes, nearest
 from cbsr_qa.system.clock import RealClock
 from cbsr_qa.system.words import echo
 
@@ -82,7 +82,7 @@ def control_charts(request: ChartsRequest, *, database: str | None = None) -> Ch
                 notes += (_retire(store, request, references),)
                 references = _select_references(store, request, recipe)
             all_retired = request.retire is not None and not references
-            charts = () if all_retired else _against_stored(table, request, recipe, lines, references)
+            charts = () if all_retired else _chart_against_stored(table, request, recipe, lines, references)
         stored = period is not None and not request.dry_run
         if stored:
             store.charts.save([chart.reference for chart in charts if chart.reference is not None])
@@ -106,7 +106,7 @@ def _select_runs(store: Repository, request: ChartsRequest) -> RunSelection:
     if len(recipes) == 1:
         return replace(selection, recipe=recipes.pop())
     if recipes:
-        raise RefusedError(f"{station} ran {several_recipes(recipes)}", remedy="choose one by --recipe")
+        raise RefusedError(f"{station} ran {describe_recipes(recipes)}", remedy="choose one by --recipe")
     check_names(store, replace(selection, serials=()))
     recipes_run = {
         run.recipe for run in store.fleet.read_lines(replace(selection, recipe=None)) if run.outcome is not None
@@ -150,7 +150,7 @@ def _retire(store: Repository, request: ChartsRequest, held: Sequence[ChartRefer
     return _RETIRED.format(operator=operator, charts=list_names([row.label for row in rows]))
 
 
-def _against_stored(
+def _chart_against_stored(
     table: FleetTable, request: ChartsRequest, recipe: str, lines: Sequence[RunLine], held: Sequence[ChartReference]
 ) -> tuple[MetricChart, ...]:
     lacking = [name for name in request.metrics if name not in {reference.name for reference in held}]

@@ -85,8 +85,8 @@ def cautions(
             yield _MIXED.format(what=mixed_kind, shares=shares)
     if several := describe_several_ways(count_ways(members)):
         yield _MIXED.format(what="ways to calibrate", shares=several)
-    clocks = [*_from_the_future(members, now), *_out_of_order(members)]
-    clocks += [*_unlike_identifiers(members), *_far_from_others(members)]
+    clocks = [*_name_future_runs(members, now), *_name_disordered_runs(members)]
+    clocks += [*_name_unlike_identifiers(members), *_far_from_others(members)]
     yield from clocks
     if clocks and terms.by is By.PERIOD:
         yield _PERIODS
@@ -139,13 +139,13 @@ def _caution_sessions(design: Design, models: Sequence[Fitted]) -> Iterator[str]
     yield _SESSIONS.format(noun=noun, group=made.groups[0], station="a second station")
 
 
-def _from_the_future(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:
+def _name_future_runs(runs: Sequence[RunLine], now: datetime) -> Iterator[str]:
     for station, members in _group_by_station(run for run in runs if run.started_at > now + _DAY):
         latest = max(run.started_at for run in members)
         yield _STILL_TO_COME.format(station=station, runs=_runs(members), day=f"{latest:%Y-%m-%d}")
 
 
-def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
+def _name_disordered_runs(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name stations whose clock was set back: a run made after another one began before it."""
     for station, members in _group_by_station(runs):
         latest, runs_set_back = members[0], []
@@ -161,7 +161,7 @@ def _out_of_order(runs: Sequence[RunLine]) -> Iterator[str]:
             yield _SET_BACK.format(station=station, runs=_runs(runs_set_back), back=earliest_day, day=latest_day)
 
 
-def _unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
+def _name_unlike_identifiers(runs: Sequence[RunLine]) -> Iterator[str]:
     """Name runs with another day than that of their identifiers, if most runs agree.
 
     If most do not, the fleet was stored all at once (simulated, or copied), and identifiers do not tell about clocks.

@@ -152,7 +152,7 @@ def difference(
         contrast = model.difference(*names)
     except NumericsError as error:
         why = "" if model.fit is None else design.untold(model.fit.design, *names)
-        return replace(refused, warnings=(why or _one_line(error),))
+        return replace(refused, warnings=(why or _to_one_line(error),))
     assert model.fit is not None
     estimated = _fill_contrast(refused, contrast, terms)
     deviation = sqrt(model.fit.run_deviation**2 + (model.fit.sensor_deviation or 0.0) ** 2)
@@ -175,7 +175,7 @@ def difference(
     )
 
 
-def _one_line(error: NumericsError) -> str:
+def _to_one_line(error: NumericsError) -> str:
     return str(error).replace("\n", "; ")
 
 
@@ -268,4 +268,4 @@ def stations_above(model: Fitted, metric: MetricValues, design: Design) -> Itera
                 raise NumericsError(model.why)
             yield _fill_contrast(unestimated, model.fit.station_difference(name, design.stations[0]), design.terms)
         except NumericsError as error:
-            yield replace(unestimated, warnings=(_one_line(error),))
+            yield replace(unestimated, warnings=(_to_one_line(error),))

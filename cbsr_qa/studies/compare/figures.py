@@ -57,7 +57,7 @@ def strips(label: str, samples: Sequence[tuple[str, str, Array]], groups: Sequen
     for row, (group, _, values) in enumerate(samples):
         colour = CYCLE[list(groups).index(group) % len(CYCLE)]
         _row(axes, row, values, colour)
-    names = [f"{_short(group)}, {_short(station)}  ({len(values)})" for group, station, values in samples]
+    names = [f"{_shorten(group)}, {_shorten(station)}  ({len(values)})" for group, station, values in samples]
     name_rows(axes, names, most=len(names))  # the figure is as high as the rows need
     axes.set_xlabel(label)
     box = axes.yaxis.get_tightbbox(None)
@@ -110,7 +110,7 @@ def difference_map(unit: str, places: Sequence[tuple[float, float, PlaceDifferen
     return figure
 
 
-def _short(name: str) -> str:
+def _shorten(name: str) -> str:
     """Shorten a long name in the middle to fit beside a row."""
     if len(name) <= _MOST_LETTERS:
         return name

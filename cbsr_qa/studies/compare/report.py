@@ -174,7 +174,7 @@ def _say_alike(differ: Collection[str | None], comparison: Comparison) -> Iterat
 
 def _say_missing(comparison: Comparison) -> Iterator[str]:
     """List groups that could not be compared, in all or some metrics, except metrics in which nothing differs."""
-    metrics = [metric for metric in comparison.of_metrics if metric.differences and not _idle(metric)]
+    metrics = [metric for metric in comparison.of_metrics if metric.differences and not _is_idle(metric)]
     counts = Counter(
         difference.group for metric in metrics for difference in metric.differences if not difference.known
     )
@@ -227,7 +227,7 @@ def _refusals(comparison: Comparison, *, of_idle: bool) -> Iterator[str]:
     refused = (
         (difference.warnings[0].removeprefix(f"{metric.values.key.label}: "), metric)
         for metric, difference in comparison.pairs
-        if not difference.known and _idle(metric) is of_idle
+        if not difference.known and _is_idle(metric) is of_idle
     )
     return _group_by_text(_REFUSED, refused, comparison)
 
@@ -267,9 +267,9 @@ def _comparable_groups(comparison: Comparison) -> list[str]:
     ]
 
 
-def _idle(metric: MetricComparison) -> bool:
+def _is_idle(metric: MetricComparison) -> bool:
     """Whether all sensors of all groups read the same, so that groups cannot differ."""
-    return _same([values for *_, values in metric.samples])
+    return _are_equal([values for *_, values in metric.samples])
 
 
 def _constant(metric: MetricComparison) -> list[str]:
@@ -283,11 +283,12 @@ def _constant(metric: MetricComparison) -> list[str]:
         if sum(map(len, values))
     }
     scatter = any(
-        sum(map(len, samples_by_group[name])) < 2 or not _same(samples_by_group[name]) for name in reading_by_group
+        sum(map(len, samples_by_group[name])) < 2 or not _are_equal(samples_by_group[name])
+        for name in reading_by_group
     )
     if (
         all(difference.known for difference in metric.differences)
-        or _idle(metric)
+        or _is_idle(metric)
         or scatter
         or len(reading_by_group) < 2
     ):
@@ -299,7 +300,7 @@ def _constant(metric: MetricComparison) -> list[str]:
     return [f"{name} {text}" for name, text in text_by_group.items()]
 
 
-def _same(samples: Sequence[Array]) -> bool:
+def _are_equal(samples: Sequence[Array]) -> bool:
     """Whether there are values that are equal but for rounding of means."""
     values = np.concatenate([np.zeros(0), *samples])
     return bool(len(values)) and bool(np.ptp(values) <= 1e-12 * np.abs(values).max())

@@ -98,7 +98,7 @@ def _difference_tables(comparison: Comparison) -> Iterator[Table]:
         yield from _table(
             _ALIKE.format(**caption_words, decides=decision_percent), likeness_columns, rows, (1, 2, 3, 4, 6)
         )
-        rows = [row for pair in pairs for row in _other_rows(*pair)]
+        rows = [row for pair in pairs for row in _list_other_methods(*pair)]
         other_columns = ("metric", "method", "difference", interval_column, "p")
         yield from _table(_OTHER.format(**caption_words), other_columns, rows, (2, 3, 4), folded=True)
     if len(comparison.groups) > 1:
@@ -132,7 +132,7 @@ def _likeness_row(metric: MetricComparison, group: str, comparison: Comparison) 
     )
 
 
-def _other_rows(metric: MetricComparison, difference: Difference) -> Iterator[tuple[str, ...]]:
+def _list_other_methods(metric: MetricComparison, difference: Difference) -> Iterator[tuple[str, ...]]:
     """Rows of the other methods with a result: columns for both would not fit a page."""
     if difference.robust is not None:
         robust = difference.robust

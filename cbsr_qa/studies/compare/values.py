@@ -97,7 +97,7 @@ def values_of(table: FleetTable, used: BoolArray) -> Iterator[MetricValues]:
 
 def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> MetricValues:
     absent_warnings = _absent(table, rows, used)
-    rows, unit_warnings = _one_unit(table, rows)
+    rows, unit_warnings = _keep_one_unit(table, rows)
     run, value, state = table.run[rows], table.value[rows], table.state[rows]
     kinds = [table.kinds[index] for index in np.unique(table.kind[rows])]
     runs = len(table.runs)
@@ -111,7 +111,7 @@ def _values(key: MetricKey, title: str, table: FleetTable, rows: NDArray[np.intp
     warnings = [
         *unit_warnings,
         *absent_warnings,
-        *_beyond(table, run[is_beyond], value[is_beyond]),
+        *_name_too_large(table, run[is_beyond], value[is_beyond]),
         *_sensors(_NOT_MEASURED, table, np.flatnonzero((row_counts > 0) & (counts == 0) & ~is_bounded & ~has_huge)),
         *_sensors(_LOWER_BOUND, table, np.flatnonzero(is_bounded)),
         *_sensors(
@@ -162,7 +162,7 @@ def _average_by_location(table: FleetTable, rows: NDArray[np.intp], runs: int) -
     return means
 
 
-def _one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[str]]:
+def _keep_one_unit(table: FleetTable, rows: NDArray[np.intp]) -> tuple[NDArray[np.intp], list[str]]:
     """Keep the most common unit; report values in others."""
     counts: Counter[str] = Counter()
     for index, count in zip(*np.unique(table.kind[rows], return_counts=True), strict=True):
@@ -195,7 +195,7 @@ def _absent(table: FleetTable, rows: NDArray[np.intp], used: BoolArray) -> Itera
         )
 
 
-def _beyond(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
+def _name_too_large(table: FleetTable, run: NDArray[np.int32], value: Array) -> Iterator[str]:
     """Name values that are too large for arithmetic."""
     sensors = {f"{table.runs[index].serial} ({number:g})" for index, number in zip(run, value, strict=True)}
     if sensors:

@@ -9,7 +9,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
 from cbsr_qa.domain.errors import RefusedError
-from cbsr_qa.report.draw.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, plain_ticks, svg_of
+from cbsr_qa.report.draw.style import CYCLE, FAINT, INK, QUIET, canvas, drawing, light_grid, place_plain_ticks, svg_of
 from cbsr_qa.studies.frontier.point import Point, TimeBasis
 from cbsr_qa.studies.frontier.recommend import Recommendation
 from cbsr_qa.studies.frontier.station import NAMES
@@ -40,8 +40,8 @@ def _canvas(points: Sequence[Point], chosen: Recommendation) -> Canvas:
     for point in ringed:
         place = (point.station_s or 0) / 60, point.accuracy["force_error"].value
         axes.plot(*place, "o", color=INK, markersize=10, markerfacecolor="none", markeredgewidth=1.2)
-    plain_ticks(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
-    plain_ticks(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
+    place_plain_ticks(axes.xaxis, (10, 15, 20, 30, 45, 60, 90, 120, 180, 240, 360))
+    place_plain_ticks(axes.yaxis, (0.03, 0.05, 0.07, 0.1, 0.15, 0.2, 0.3, 0.5, 1, 2, 3, 5))
     axes.set_xlabel("station time a sensor [min]")
     axes.set_ylabel("force error [N]")
     for number, (name, colour) in enumerate(colours.items()):

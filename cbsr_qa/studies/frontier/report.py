@@ -69,7 +69,7 @@ def lay_out_frontier(frontier: Frontier) -> CommandOutcome[Frontier]:
     """Lay a frontier out."""
     series = dict.fromkeys((point.clock, point.series) for point in frontier.points)
     sections = (
-        Section("How to read this page", tuple(_how_to_read(frontier)), page_only=True),
+        Section("How to read this page", tuple(_explain_reading(frontier)), page_only=True),
         *(Section(f"{clock.capitalize()}: {name}", tuple(_series(frontier, clock, name))) for clock, name in series),
     )
     return CommandOutcome(frontier, _page(frontier), sections)
@@ -99,7 +99,7 @@ def _page(frontier: Frontier) -> Page:
     return Page("Frontier", "What accuracy costs in time", banner, tuple(facts), simulated, ())
 
 
-def _how_to_read(frontier: Frontier) -> Iterator[Block]:
+def _explain_reading(frontier: Frontier) -> Iterator[Block]:
     clocks = {point.clock for point in frontier.points}
     yield from map(Paragraph, _READING if TimeBasis.STATION in clocks else _READING[:1])
     yield from map(Paragraph, _OF_COMPUTER if TimeBasis.COMPUTER in clocks else ())

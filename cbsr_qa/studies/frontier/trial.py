@@ -151,11 +151,11 @@ def choose_least_sure(run: RunObservation, count: int) -> list[int]:
         force = learn_without_tests(select_loads(run, lambda load: load.phase != GRID or load.record.index in chosen))
         assert force.learned is not None
         _, variance = force.learned.response.predict(places)
-        chosen.extend(_least_certain_places(places, variance, chosen, min(_AT_A_TIME, count - len(chosen))))
+        chosen.extend(_choose_least_certain(places, variance, chosen, min(_AT_A_TIME, count - len(chosen))))
     return chosen
 
 
-def _least_certain_places(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
+def _choose_least_certain(places: Array, variance: Array, chosen: Sequence[int], count: int) -> list[int]:
     """The least certain places, apart from each other, or closer if there are no others."""
     new_places: list[int] = []
     for apart_mm in (_APART_MM, 0.0):

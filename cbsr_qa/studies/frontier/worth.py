@@ -41,7 +41,7 @@ def mark_worth(
         if (price := cost(point)) is not None and point.accuracy.keys() >= set(names)
     ]
     front: list[tuple[float, Mapping[str, Accuracy], int]] = []
-    for price, accuracy, index in sorted(priced, key=_possibly_dominating):
+    for price, accuracy, index in sorted(priced, key=_rank_dominating):
         rivals = [rival for rival in front if across_series or points[rival[2]].series == points[index].series]
         if not any(_dominates(accuracy, price > other_price, other) for other_price, other, _ in rivals):
             front.append((price, accuracy, index))
@@ -49,7 +49,7 @@ def mark_worth(
     return [replace(point, pareto=index in worthwhile) for index, point in enumerate(points)]
 
 
-def _possibly_dominating(
+def _rank_dominating(
     way: tuple[float, Mapping[str, Accuracy], int],
 ) -> tuple[float, int, list[tuple[str, float]]]:
     """Sort key that puts possibly dominating settings first: cheaper, more accuracies, smaller errors."""

@@ -82,7 +82,7 @@ def _add_tolerance(request: GaugeRequest, series: Series) -> Iterator[Toleranced
         if not metric.means(series.key):
             continue
         if metric.unit and metric.unit != series.unit:
-            raise _other_unit(request.locate("metrics", index, "unit"), metric.unit, series)
+            raise _refuse_unit(request.locate("metrics", index, "unit"), metric.unit, series)
         yield _with_limits(series, metric)
         return
 
@@ -95,7 +95,7 @@ def _with_limits(series: Series, wanted: MetricWanted) -> Toleranced:
     return Toleranced(series, tolerance, "recipe") if tolerance else Toleranced(series, None, "")
 
 
-def _other_unit(at: str, unit: str, series: Series) -> RefusedError:
+def _refuse_unit(at: str, unit: str, series: Series) -> RefusedError:
     return RefusedError(
         f"{at}the unit is {echo(unit)}, but {series.key.label} was measured in {series.unit}",
         remedy=f"state the numbers in {series.unit}; nothing is converted",
@@ -122,6 +122,6 @@ def _check_references(request: GaugeRequest, lines: Sequence[RunLine], metrics: 
                 "",
                 metric_of_reference.series.unit,
             ):
-                raise _other_unit(
+                raise _refuse_unit(
                     request.locate("reference", index, "unit"), reference.unit, metric_of_reference.series
                 )

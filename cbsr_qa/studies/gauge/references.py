@@ -199,7 +199,7 @@ def _parse_option(text: str) -> ReferenceValue:
     return ReferenceValue(match["serial"], match["metric"], value, uncertainty, match["unit"] or "")
 
 
-def against_references(
+def compare_references(
     series: Series,
     appraisers: Sequence[str],
     references: Sequence[ReferenceValue],

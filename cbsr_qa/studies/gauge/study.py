@@ -24,7 +24,7 @@ from cbsr_qa.stats.gauge.nested import NestedStudy, nested_anova, nested_study, 
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.studies.gauge.metrics import Toleranced, choose_metrics
-from cbsr_qa.studies.gauge.references import AgainstReferences, against_references
+from cbsr_qa.studies.gauge.references import AgainstReferences, compare_references
 from cbsr_qa.studies.gauge.request import GaugeRequest, StudySource
 from cbsr_qa.studies.selection import (
     WayCount,
@@ -33,9 +33,9 @@ from cbsr_qa.studies.selection import (
     check_names,
     clock_notes,
     count_ways,
+    describe_recipes,
     describe_several_ways,
     likeness_notes,
-    several_recipes,
 )
 
 
@@ -55,7 +55,7 @@ def choose_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
     recipes = {run.recipe for run in runs}
     if len(recipes) > 1:
         raise RefusedError(
-            f"{request.locate('study')}these runs are of {several_recipes(recipes)}",
+            f"{request.locate('study')}these runs are of {describe_recipes(recipes)}",
             remedy="choose one by its name: recipe in the study, or --recipe",
         )
     studied_runs = tuple(run for run in runs if appraiser_of(run, request.appraiser))
@@ -206,7 +206,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
         why, missing_cells = "", uneven_parts(sensors, appraisers, request.nested, request.appraiser)
     else:
         sensors = [line.serial for line in series.lines]
-        why = _never_repeated(sensors, appraisers, request.appraiser)
+        why = _explain_no_repeats(sensors, appraisers, request.appraiser)
         missing_cells = () if why else missing_runs(sensors, appraisers, request.appraiser)
     unstudied = fill_from_object(
         MetricGauge,
@@ -219,7 +219,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
         runs=len(series.values),
         missing=missing_cells,
         notes=series.notes,
-        references=against_references(series, appraisers, request.references, request.confidence, wanted.tolerance),
+        references=compare_references(series, appraisers, request.references, request.confidence, wanted.tolerance),
         why=why,
     )
     if why:
@@ -240,7 +240,7 @@ def _metric(wanted: Toleranced, request: GaugeRequest) -> MetricGauge:
         return replace(unstudied, why=error.reason)
 
 
-def _never_repeated(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
+def _explain_no_repeats(sensors: Sequence[str], appraisers: Sequence[str], appraiser: str) -> str:
     """State that no sensor was run twice by the same appraiser in any selection; empty otherwise."""
     cells = Counter(zip(sensors, appraisers, strict=True))
     if not cells or max(cells.values()) > 1 or min(len(set(sensors)), len(set(appraisers))) < 2:

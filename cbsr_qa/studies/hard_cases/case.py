@@ -139,7 +139,7 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
     started_s = perf_counter()
     answer, reason, remedy, outcome = None, "", "", Ending.BROKEN
     try:
-        with warnings.catch_warnings(), _within(longest_s):
+        with warnings.catch_warnings(), _limit_time(longest_s):
             warnings.simplefilter("error")
             answer = case.run()
         reason = _why_broken(case, answer)
@@ -169,7 +169,7 @@ def examine(case: HardCase, *, longest_s: float = LONGEST_S) -> CaseResult:
 
 
 @contextmanager
-def _within(seconds: float) -> Iterator[None]:
+def _limit_time(seconds: float) -> Iterator[None]:
     """Raise TimeoutError after some seconds, if the system has timers and this is the main thread."""
     if not hasattr(signal, "setitimer") or threading.current_thread() is not threading.main_thread():
         yield

@@ -45,7 +45,7 @@ def largest_relative_error(computed: Iterable[float], truth: Iterable[Any]) -> f
     return max(relative_error(computed_value, exact) for computed_value, exact in zip(computed, truth, strict=True))
 
 
-def apart(computed: Array, exact: Array) -> float:
+def relative_difference(computed: Array, exact: Array) -> float:
     """‖x − x*‖/‖x*‖ of doubles."""
     return float(np.linalg.norm(computed - exact) / np.linalg.norm(exact))
 

@@ -18,7 +18,7 @@ from cbsr_qa.report.draw.style import (
     draw_svg,
     light_grid,
     name_rows,
-    plain_ticks,
+    place_plain_ticks,
 )
 from cbsr_qa.studies.hard_cases.case import CONDITIONING_ROOM, EPSILON, CaseResult, Ending
 
@@ -85,4 +85,4 @@ def _label_powers_of_ten(axis: Axis) -> None:
     first, last = int(np.ceil(low)), int(np.floor(high))
     powers = range(first, last + 1, max(1, -(-(last - first) // 10)))
     ticks = [10.0**power for power in powers]
-    plain_ticks(axis, ticks, lambda value: "10" + str(round(np.log10(value))).translate(_SUPERSCRIPTS))
+    place_plain_ticks(axis, ticks, lambda value: "10" + str(round(np.log10(value))).translate(_SUPERSCRIPTS))

@@ -23,12 +23,12 @@ from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
-from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
+from cbsr_qa.studies.hard_cases.exact import DIGITS, relative_difference
 
 IMAGE_MM: Final = 6.0
 
 
-def usual_sensor() -> SensorType:
+def make_usual_sensor() -> SensorType:
     """The 100 mm disc with sixteen pins, adjacent drives and measurements."""
     layout = ElectrodeLayout(16, ElectrodeKind.PIN, 48.0, 0.65, 0.0, counterclockwise=True)
     return SensorType("stability", 50.0, 4.0, layout, adjacent_pattern(16), Response.AUTO)
@@ -46,9 +46,9 @@ def prepare_method(name: str, problem: ImagingProblem, options: Mapping[str, Any
 
 
 @lru_cache(maxsize=4)
-def usual_problem(kind: str = "whole") -> ImagingProblem:
+def make_usual_problem(kind: str = "whole") -> ImagingProblem:
     """The usual sensor on a coarse image; with three electrodes masked, or noise over twelve decades."""
-    sensor = usual_sensor()
+    sensor = make_usual_sensor()
     full_problem = imaging_problem(sensor, image_size_mm=IMAGE_MM)
     if kind == "masked":
         return imaging_problem(sensor, used=mask_electrodes(sensor, (2, 7, 12)), image_size_mm=IMAGE_MM)
@@ -131,7 +131,7 @@ def scatter_conductance(decades: float, seed: int = 20261121) -> Array:
 def relative_error(computed: Array, exact: Array, pattern: DrivePattern) -> float:
     """‖V − V*‖/‖V*‖ over the readings that touch no driven electrode."""
     is_usable = pattern.usable()
-    return apart(computed[is_usable], exact[is_usable])
+    return relative_difference(computed[is_usable], exact[is_usable])
 
 
 def reading_condition(model: ForwardModel, before: Array | None = None) -> float:

@@ -180,7 +180,7 @@ def _has_result(run: RunLine) -> bool:
 
 def _refuse_bad(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
     bad_runs = [run for run in runs if not (_has_result(run) and run.verdict in _GOOD)]
-    fates = tuple(f"{run.serial} ({_fate(run)})" for run in bad_runs)
+    fates = tuple(f"{run.serial} ({_describe_outcome(run)})" for run in bad_runs)
     if bad_runs and not choice.include_failed:
         raise RefusedError(
             f"{len(bad_runs)} of the {len(runs)} runs of the lot are not good: {list_names(fates)}",
@@ -189,7 +189,7 @@ def _refuse_bad(runs: Sequence[RunLine], choice: LotChoice) -> tuple[str, ...]:
     return fates
 
 
-def _fate(run: RunLine) -> str:
+def _describe_outcome(run: RunLine) -> str:
     if run.end is not EndReason.FINISHED:
         return str(run.end)
     if run.overridden_to is not None:

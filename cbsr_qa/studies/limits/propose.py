@@ -124,7 +124,7 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
         refusals = [member for member in members if isinstance(member, NoLimit)]
         if len(refusals) == len(members):
             reasons = "\n".join(
-                f"  {refusal.label}: {refusal.why}{far_from_others(refusal)}" for refusal in refusals[:10]
+                f"  {refusal.label}: {refusal.why}{list_far_from_others(refusal)}" for refusal in refusals[:10]
             )
             more_reasons = f"\n  and {len(members) - 10} more" if len(members) > 10 else ""
             raise RefusedError(
@@ -133,7 +133,7 @@ def _check_any(proposals: tuple[ProposedLimit | NoLimit, ...], names: tuple[str,
             )
 
 
-def far_from_others(refusal: NoLimit) -> str:
+def list_far_from_others(refusal: NoLimit) -> str:
     """List sensors far from the others, in brackets after a space; empty without any."""
     return f" ({', '.join(refusal.far_out)} far from the others)" if refusal.far_out else ""
 

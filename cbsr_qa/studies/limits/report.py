@@ -19,7 +19,7 @@ from cbsr_qa.studies.limits.promise import (
     warn_of_few_sensors,
 )
 from cbsr_qa.studies.limits.proposals import ProposedLimit
-from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, far_from_others, lot_words
+from cbsr_qa.studies.limits.propose import SIZELESS, ProposedLimits, list_far_from_others, lot_words
 
 _NONE: Final = "–"
 _LEAST_SHARE: Final = 1e-6  #: smaller risks are meaningless: no distribution is known that far out
@@ -130,14 +130,14 @@ def _limits(proposed: ProposedLimits) -> Table:
 def _basis(limits: tuple[ProposedLimit, ...]) -> Table:
     columns = ("measurement", "side", "value of a run", "distribution", "p", "k", "mean", "deviation", "others")
     rows = [
-        (limit.label, side, *_rests_on(bound, limit.values))
+        (limit.label, side, *_describe_basis(bound, limit.values))
         for limit in limits
         for side, bound in limit.bounds.items()
     ]
     return text_table(_BASIS, (*columns, "refuted (p)"), rows, (4, 5, 6, 7))
 
 
-def _rests_on(bound: Bound, values: int) -> tuple[str, ...]:
+def _describe_basis(bound: Bound, values: int) -> tuple[str, ...]:
     worst = "largest" if bound.scale.sign > 0 else "smallest"
     best: dict[str, float] = {}
     for fit in bound.tests:
@@ -205,7 +205,7 @@ def _notes(proposed: ProposedLimits) -> Iterator[Block]:
     for limit in proposed.limits:
         yield from _describe_limit(limit)
     for none in proposed.not_proposed:
-        text = _NOT_PROPOSED.format(label=none.label, why=none.why, far=far_from_others(none))
+        text = _NOT_PROPOSED.format(label=none.label, why=none.why, far=list_far_from_others(none))
         yield Paragraph(text, "warning")
 
 

@@ -88,11 +88,11 @@ def _letter(place: int) -> str:
 def _cells(row: ComparedRow, reasons: Sequence[str]) -> tuple[str, ...]:
     name = row.name if row.unit == "1" else f"{row.name} [{row.unit}]"
     name += ", an input" if row.kind is ValueOrigin.INPUT else ""
-    beside_text = _ours_text(row.beside[0]) if row.beside else _NONE
+    beside_text = _format_ours(row.beside[0]) if row.beside else _NONE
     agrees = "not compared" if row.rule is Rule.NONE else _AGREES[row.agrees]
     why = _letter(reasons.index(row.reason)) if row.reason else ""
     bands = f"{row.paper.band}, {row.ours.band}" if row.paper.band else ""
-    return row.group, name, _format_printed(row.paper), _ours_text(row.ours), beside_text, agrees, why, bands
+    return row.group, name, _format_printed(row.paper), _format_ours(row.ours), beside_text, agrees, why, bands
 
 
 def _format_printed(printed: Printed) -> str:
@@ -107,7 +107,7 @@ def _format_printed(printed: Printed) -> str:
     return f"{printed.value:.{decimals or 1}f} ± {printed.deviation:.{decimals or 1}f}"
 
 
-def _ours_text(ours: Ours) -> str:
+def _format_ours(ours: Ours) -> str:
     """Format our number with its uncertainty; ``–`` if missing, ``≥`` for a lower bound."""
     if ours.value is None:
         return "–"

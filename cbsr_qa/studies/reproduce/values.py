@@ -243,12 +243,12 @@ def _random(run: RunObservation, measurements: Sequence[Measurement], sheet: str
     rows = []
     for label in labels:
         of_load = [m for m in measurements if m.phase in phases and m.location == label and not m.qualifier]
-        error, _, deviation = (_over_trials([m for m in of_load if m.name == name], sheet) for name in _METRICS)
+        error, _, deviation = (_summarise_trials([m for m in of_load if m.name == name], sheet) for name in _METRICS)
         rows.append((error, deviation))
     return tuple(rows)
 
 
-def _over_trials(measurements: Sequence[Measurement], sheet: str) -> Ours:
+def _summarise_trials(measurements: Sequence[Measurement], sheet: str) -> Ours:
     values = [m.value for m in measurements if m.value is not None]
     if not values:
         return Ours(sheet, None, uncertainty_is=measurements[0].how if measurements else "not pressed")

@@ -16,7 +16,7 @@ from cbsr_qa.plugin.interfaces import AnyEffect
 from cbsr_qa.simulate.chain import EffectFactory
 from cbsr_qa.simulate.recording import SAMPLE_RATE_HZ, frame_middles_s, press_loads
 from cbsr_qa.simulate.world import SimulatedWorld
-from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, naming
+from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, name_scene_file
 
 #: Stages that affect how much is solved: their effects cost more than the time within them.
 SOLVED_STAGES: Final = ("sheet", "times", "response", "contacts")
@@ -81,7 +81,7 @@ class Watched:
 
         return call_timed
 
-    def within(self, work: Callable[[], object]) -> dict[str, float]:
+    def time_call(self, work: Callable[[], object]) -> dict[str, float]:
         """Call a function and return the time spent within each effect [s]."""
         spent_before_s = dict(self.spent_s)
         work()
@@ -104,7 +104,7 @@ def measure_costs(
     """
     plan = plan_recording(setup)
     watched = Watched(effect_factory)
-    with naming(setup.label):
+    with name_scene_file(setup.label):
         bench = _Bench(setup, plan, watched, effect_factory)
         each_ms, once_ms = bench.within_ms(), bench.once_ms()
         shared_ms = {name: each_ms[name] + once_ms[name] / max(plan.frame_count, 1) for name in each_ms}
@@ -139,9 +139,9 @@ class _Bench:
         begun_s = _clock_s()
         self._seen = self._world(plan, watched)
         self._once.append(dict(watched.spent_s))  # while the sheet was made
-        self._once.append(watched.within(lambda: self._seen.transcript(frame_middles_s(plan))))
+        self._once.append(watched.time_call(lambda: self._seen.transcript(frame_middles_s(plan))))
         end_s = plan.frame_count * plan.scene.frame_period_s
-        self._once.append(watched.within(lambda: press_loads(self._seen, plan, end_s)))
+        self._once.append(watched.time_call(lambda: press_loads(self._seen, plan, end_s)))
         self._setup_s = _clock_s() - begun_s
         self._plain = self._world(plan, effect_factory, like=self._seen)
         self._loaded = _choose_frames(plan, setup.sensor_type.value.thickness_mm)
@@ -157,7 +157,7 @@ class _Bench:
 
     def within_ms(self) -> dict[str, float]:
         """Time per frame within each effect."""
-        frames = [self._watched.within(partial(self._take_frame, self._seen, index)) for index in self._loaded]
+        frames = [self._watched.time_call(partial(self._take_frame, self._seen, index)) for index in self._loaded]
         return {name: 1e3 * median(spent_s[name] for spent_s in frames) for name in self._watched.effects}
 
     def once_ms(self) -> dict[str, float]:
@@ -172,22 +172,22 @@ class _Bench:
         plan = replace(self._plan, scene=replace(self._plan.scene, effects=kept_effects))
         same_sheet = not any(effects[effect_name].perturbs == "sheet" for effect_name in left_out)
         other = self._world(plan, self._factory, self._plain, same_sheet=same_sheet)
-        return 1e3 * _clear([_longer_s(self._plain, other, self._times(index)) for index in self._loaded])
+        return 1e3 * _clear([_measure_difference_s(self._plain, other, self._times(index)) for index in self._loaded])
 
     def frame_ms(self) -> float:
         """Time of a whole frame during a load, and of its force samples."""
-        return 1e3 * median(self._whole_s(index) for index in self._loaded)
+        return 1e3 * median(self._measure_frame_s(index) for index in self._loaded)
 
     def compute_s(self) -> float:
         """Time of the whole recording, extrapolated from frames spread over it."""
         count = self._plan.frame_count
         spread = np.unique(np.linspace(0, count - 1, 2 * _FRAMES).astype(int)).tolist()
-        return self._setup_s + count * mean(self._whole_s(index) for index in spread)
+        return self._setup_s + count * mean(self._measure_frame_s(index) for index in spread)
 
     def _times(self, index: int) -> tuple[float, int]:
         return (index + 0.5) * self._plan.scene.frame_period_s, index
 
-    def _whole_s(self, index: int) -> float:
+    def _measure_frame_s(self, index: int) -> float:
         self._plain.frame(*self._times(index))  # caches between frames of one place are filled
         start_s = _clock_s()
         self._take_frame(self._plain, index)
@@ -210,7 +210,7 @@ def _clear(differences_s: list[float]) -> float:
     return middle_s if middle_s > 2 * noise_s else 0.0
 
 
-def _longer_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int]) -> float:
+def _measure_difference_s(world: SimulatedWorld, other: SimulatedWorld, at: tuple[float, int]) -> float:
     """Difference between the times of a frame in two worlds.
 
     Tries alternate, so that a slowing computer affects both; the shortest of each counts, after a warm-up.

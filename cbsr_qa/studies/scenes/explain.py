@@ -12,7 +12,7 @@ from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.simulate.chain import NOT_MODELLED, build_chain
 from cbsr_qa.studies.scenes.costs import Costs, Watched, measure_costs
-from cbsr_qa.studies.scenes.setting import SceneSetup, naming, set_up
+from cbsr_qa.studies.scenes.setting import SceneSetup, name_scene_file, set_up
 
 
 @dataclass(frozen=True, slots=True)
@@ -90,7 +90,7 @@ def explain_scene(
         setup.plan.scene.current_A,
         setup.plan.scene.frame_period_s,
     )
-    with naming(setup.label):
+    with name_scene_file(setup.label):
         build_chain(setup.plan.scene, setting, watched)
     costs = None
     if measure:
@@ -98,7 +98,7 @@ def explain_scene(
         costs = measure_costs(setup, factory, progress=progress)
     return Explained(
         scene=setup.plan.scene.name,
-        effects=(*_on(setup, watched, costs), *_off(setup, plugins)),
+        effects=(*_on(setup, watched, costs), *_list_inactive(setup, plugins)),
         not_modelled=(*setup.plan.scene.not_modelled, *NOT_MODELLED),
         frames=setup.plan.frame_count or None,
         frame_ms=None if costs is None else costs.frame_ms,
@@ -127,13 +127,13 @@ def _on(setup: SceneSetup, watched: Watched, costs: Costs | None) -> Iterator[Ex
             perturbs=effect.perturbs,
             cost_ms_per_frame=None if costs is None else costs.effect_ms[choice.name],
             parameters=choice.options,
-            does=_does(type(effect)),
+            does=_read_purpose(type(effect)),
             each_ms=None if costs is None else costs.each_ms[choice.name],
             once_ms=None if costs is None else costs.once_ms[choice.name],
         )
 
 
-def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
+def _list_inactive(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
     active_names = {choice.name for choice in setup.plan.scene.effects}
     for name in plugins.names(Kind.EFFECT):
         if name in active_names:
@@ -147,8 +147,8 @@ def _off(setup: SceneSetup, plugins: Plugins) -> Iterator[ExplainedEffect]:
         # Unknown before creation if the factory is not a class, or the effect decides when created.
         known_needs = tuple(needs) if isinstance(needs, tuple | list) else ()
         stage = perturbs if isinstance(perturbs, str) else ""
-        yield ExplainedEffect(name, False, known_needs, stage, 0.0, {}, _does(factory))
+        yield ExplainedEffect(name, False, known_needs, stage, 0.0, {}, _read_purpose(factory))
 
 
-def _does(of: object) -> str:
+def _read_purpose(of: object) -> str:
     return (inspect.getdoc(of) or "").strip().partition("\n")[0]

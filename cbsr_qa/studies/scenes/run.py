@@ -21,7 +21,7 @@ from cbsr_qa.simulate.chain import NOT_MODELLED
 from cbsr_qa.simulate.recording import PressedLoad, RecordedScene, frame_middles_s, record_scene
 from cbsr_qa.simulate.world import SimulatedWorld
 from cbsr_qa.studies.scenes.files import Target, Written, check_targets, make_folder, write_all
-from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, naming, set_up
+from cbsr_qa.studies.scenes.setting import SceneSetup, make_world, name_scene_file, set_up
 
 _MOST_REHEARSED: Final = 200  # frames
 
@@ -108,7 +108,7 @@ def run_scene(
     seed = setup.plan.seed or 0 if request.seed is None else request.seed
     targets = check_targets(setup.plan.scene.name, seed, request.output, request.formats, plugins)
     world = _world(setup, plugins, seed, tell)
-    with naming(setup.label):
+    with name_scene_file(setup.label):
         _rehearse(world, setup, targets)
     with make_folder(targets[0].path.parent, request.output):
         recorded, remarks = _record(world, setup, plugins, tell, progress)
@@ -163,7 +163,7 @@ def _record(
     """Simulate the frames; returns remarks on the loads by their index too."""
     remarks = edge_remarks(setup.plan, setup.sensor_type.value)
     tell(f"simulating {setup.plan.frame_count} frames")
-    with naming(setup.label):
+    with name_scene_file(setup.label):
         recorded = record_scene(world, setup.plan, progress=progress)
     return _label_recording(recorded, world, setup, plugins, tuple(remarks.values())), remarks
 

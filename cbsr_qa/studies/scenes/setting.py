@@ -67,7 +67,7 @@ def set_up(scene: str, plugins: Plugins | None = None, *, recorded: bool) -> Sce
     if recorded:
         _check_complete(loaded)
     plan, folder = loaded.value, loaded.folder
-    with naming(loaded.document.label):
+    with name_scene_file(loaded.document.label):
         sensor_type = load_sensor_type(plan.sensor_type or USUAL_SENSOR_TYPE, near=folder)
         material = load_material(plan.material or USUAL_MATERIAL, near=folder)
     check_plan(loaded, sensor_type.value)
@@ -108,7 +108,7 @@ def make_world(
         If its effects do not fit together, with the scene's file.
     """
     chosen_plan = setup.plan if plan is None else plan
-    with naming(setup.label):
+    with name_scene_file(setup.label):
         return SimulatedWorld(
             chosen_plan.scene,
             setup.sensor_type.value,
@@ -121,7 +121,7 @@ def make_world(
 
 
 @contextmanager
-def naming(label: str) -> Iterator[None]:
+def name_scene_file(label: str) -> Iterator[None]:
     """Put the name of the scene's file before every refusal."""
     try:
         yield

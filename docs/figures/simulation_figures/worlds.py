@@ -82,7 +82,7 @@ def setting(*, head: Indenter = HEAD, seed: int = SEED) -> SceneSetting:
 def design(effects: Effects, seed: int = SEED) -> SheetDesign:
     """A sheet as effects of the stage ``sheet`` leave it."""
     of = setting(seed=seed)
-    plain = SheetDesign.plain(of.sensor_type, of.indenter)
+    plain = SheetDesign.make_uniform(of.sensor_type, of.indenter)
     build_chain(scene(effects), of, effect_factory).design(plain)
     return plain
 

@@ -4,7 +4,7 @@ from typing import ClassVar, Final
 
 import numpy as np
 
-from cbsr_qa.analysis.defects.quality import FEWEST_FRAMES, off_the_line, signal_to_noise_dB
+from cbsr_qa.analysis.defects.quality import FEWEST_FRAMES, signal_to_noise_dB, subtract_trend
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.eit.inverse.scaling import changes
 from cbsr_qa.plugin import Dimensions, LoadObservation, Measurement, PluginOptions, Role, RunObservation, WithOptions
@@ -55,7 +55,7 @@ def _noise(run: RunObservation) -> Array | None:
     if len(frames) < _MIN_FRAMES:
         return None
     readings = changes(frames.voltages, run.reference, run.reconstruction.problem, run.scale)
-    residuals = off_the_line(readings, frames.time_s)
+    residuals = subtract_trend(readings, frames.time_s)
     # Rounding of identical frames is not noise.
     if np.abs(residuals).max() <= 1e-12 * np.abs(run.reconstruction.problem.reference).max():
         return np.zeros_like(residuals)

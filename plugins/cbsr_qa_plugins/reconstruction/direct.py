@@ -90,7 +90,7 @@ class TruncatedSvd(WithOptions):
         truncation, components = Truncation(problem), int(value)
         bound = _noise_figure_bound(regularisation, problem, value, curve)
         if bound is not None:
-            components = truncation.within(bound)
+            components = truncation.count_components(bound)
         matrix = truncation.matrix(components)
         areas, variance = problem.mesh.areas_mm2, problem.noise_variance
         figure = noise_figure(matrix, central_signal(problem), areas, noise_variance=variance)

@@ -155,7 +155,7 @@ def _strain_table(loads: Sequence[SettledLoad], signals: Sequence[str]) -> Table
     for signal in signals:
         for loading in (True, False):
             for words, members in classes.items():
-                relaxations = [load.one(signal, loading) for load in members]
+                relaxations = [load.find(signal, loading) for load in members]
                 rows.append(_strain_row(signal, loading, words, [r for r in relaxations if r is not None]))
     columns = ("Signal", "After", "Strain [%]", "Settling [s]", "Settled", "Later than window", "Rejected")
     caption = (

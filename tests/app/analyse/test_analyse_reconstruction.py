@@ -170,7 +170,7 @@ def test_the_image_of_a_sum_is_not_the_sum_of_the_images_unless_the_method_says_
     )
     for linear, together in ((False, [16, 49]), (True, [10, 29])):
         images = EventImages("squares", Squares(problem, linear), np.ones(2), False)
-        np.testing.assert_array_equal(images.together([one, other, one]), together)
+        np.testing.assert_array_equal(images.image_together([one, other, one]), together)
 
 
 def test_a_method_of_sequences_is_handed_the_frames_around_an_event(pressed):

@@ -110,7 +110,7 @@ def _forged(path, calibration, change):
         document = {"format": "cbsr-qa calibration", "schema_version": schema_version(entries), "digest": digest}
         path.write_text(json.dumps({**document, "datasets": {name: dataset(one) for name, one in entries.items()}}))
     else:
-        path.write_bytes(hdf5._whole_file(entries, digest))
+        path.write_bytes(hdf5._write_file(entries, digest))
 
 
 @pytest.mark.parametrize("suffix", ["h5", "json"])

@@ -25,12 +25,12 @@ def test_a_ring_scan_stays_itself_under_all_turns_and_mirrors(pairs):
     assert (turns.permuted[0] == np.arange(len(pairs))).all()
     x = np.random.default_rng(0).standard_normal((3, len(pairs)))
     for number in range(len(turns)):
-        assert np.array_equal(turns.back(turns.forth(x, number), number), x)
+        assert np.array_equal(turns.turn_back(turns.turn_forth(x, number), number), x)
         # The turns are a group: a turn after a turn is another one, of readings as of places.
         after = turns.turns[number] @ turns.turns[5]
         other = int(np.abs(turns.turns - after).sum(axis=(1, 2)).argmin())
         assert np.allclose(turns.turns[other], after)
-        assert np.array_equal(turns.forth(turns.forth(x, 5), number), turns.forth(x, other))
+        assert np.array_equal(turns.turn_forth(turns.turn_forth(x, 5), number), turns.turn_forth(x, other))
 
 
 def test_a_pattern_without_symmetry_has_the_identity_alone():
@@ -55,7 +55,7 @@ def test_readings_turn_as_the_sheet_does():
         loaded, unloaded = readings(round_sensor(), pairs, np.concatenate([place, place @ turn.T]), contrast=0.2)
         first, second = loaded - unloaded
         # To the accuracy of the mesh, which does not turn by three electrodes into itself.
-        assert turns.forth(first[None], number)[0] == pytest.approx(second, abs=2e-3 * np.abs(second).max())
+        assert turns.turn_forth(first[None], number)[0] == pytest.approx(second, abs=2e-3 * np.abs(second).max())
 
 
 def test_slope_of_the_covariance_is_its_derivative():

@@ -78,7 +78,7 @@ def test_the_turning_part_turns_places_with_readings(presses, scales):
     process, _ = condition_on_presses(turning, TURNS, features, places)
     frame = np.random.default_rng(5).standard_normal((2, features.shape[1]))
     for number, turn in enumerate(TURNS.turns):
-        there = locate(process, TURNS, TURNS.forth(frame, number))
+        there = locate(process, TURNS, TURNS.turn_forth(frame, number))
         assert there == pytest.approx(locate(process, TURNS, frame) @ turn.T, abs=1e-9)
 
 

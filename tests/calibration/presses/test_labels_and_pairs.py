@@ -10,10 +10,10 @@ from cbsr_qa.calibration.place.pairs import DistinctPairs, match_readings
 from cbsr_qa.calibration.presses.inputs import check_inside, check_near, find_outline
 from cbsr_qa.calibration.presses.learning import learn_presses
 from cbsr_qa.calibration.presses.odd_labels import (
-    far_from_their_labels,
     list_ignored_columns,
     list_unused_electrodes,
-    off_the_sheet,
+    name_far_from_labels,
+    name_off_sheet,
 )
 from cbsr_qa.domain.errors import CalibrationError, RecordingError
 from cbsr_qa.domain.geometry.outlines import Disc, Polygon
@@ -32,9 +32,9 @@ def test_a_press_with_a_wrong_place_is_named_and_one_off_the_sheet():
     (words,) = learned.findings
     assert words.startswith("1 press is far from where the other presses place it, row 6 by ")
     presses = wrong.labelled().presses
-    assert not list(off_the_sheet(presses, learned.registration, Disc(73.0)))
+    assert not list(name_off_sheet(presses, learned.registration, Disc(73.0)))
     presses.place_mm[7] = centre + np.array([80.5, 3.0])
-    (words,) = off_the_sheet(presses, learned.registration, Disc(73.0))
+    (words,) = name_off_sheet(presses, learned.registration, Disc(73.0))
     assert words.startswith("1 press is outside the sheet, which ends 73 mm from its centre: row 8, ")
 
 
@@ -50,9 +50,9 @@ def test_presses_are_outside_the_outline_of_a_rectangle_not_of_its_disc():
     ends = replace(presses, place_mm=pose.to_press_frame_mm(on_sheet_mm))
     check_near(ends, outline)
     check_inside(ends, pose, outline)
-    assert not list(off_the_sheet(ends, pose, outline))
+    assert not list(name_off_sheet(ends, pose, outline))
     on_sheet_mm[2, 1] = 24.0  # four beyond the side
-    (words,) = off_the_sheet(replace(presses, place_mm=pose.to_press_frame_mm(on_sheet_mm)), pose, outline)
+    (words,) = name_off_sheet(replace(presses, place_mm=pose.to_press_frame_mm(on_sheet_mm)), pose, outline)
     assert "row 3, 4.0 mm beyond its edge" in words
     on_sheet_mm[2, 1] = 35.0  # fifteen, and inside the disc
     with pytest.raises(RecordingError, match="1 of 4 presses are outside the sheet, which is a polygon of 4 corners"):
@@ -72,9 +72,9 @@ def test_presses_at_both_ends_of_a_strip_are_near_it():
 def test_errors_of_usual_size_accuse_no_press():
     labelled, random = pressed_sheet(40, seed=41, noise=0.05).labelled(), np.random.default_rng(0)
     found_mm = labelled.presses.place_mm + random.standard_normal((40, 2))
-    assert not list(far_from_their_labels(labelled.presses, np.arange(40), found_mm))
+    assert not list(name_far_from_labels(labelled.presses, np.arange(40), found_mm))
     found_mm[:3] += 30.0
-    (words,) = far_from_their_labels(labelled.presses, np.arange(40), found_mm)
+    (words,) = name_far_from_labels(labelled.presses, np.arange(40), found_mm)
     assert words.startswith("3 presses are far from where the others place them, row ")
 
 

@@ -34,7 +34,7 @@ def calibration(response):
 @pytest.fixture(scope="module")
 def sheet(response):
     """Finite elements in which all heads press together: fields are not those of single heads added up."""
-    design = SheetDesign.plain(load_sensor_type("disc-100mm").value, HEAD)
+    design = SheetDesign.make_uniform(load_sensor_type("disc-100mm").value, HEAD)
     design.response.append(response)
     ohm = load_material("cbsr-8wt").value.interelectrode_resistance_ohm.value
     return SimulatedSheet(design, size_mm=5.0, interelectrode_resistance_ohm=ohm)

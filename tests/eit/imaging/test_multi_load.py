@@ -62,19 +62,19 @@ def test_each_load_has_its_own_not_its_nearest():
     found = assign_regions([_disc(0, 0), _disc(9, 0)], [_load(-1, 0), _load(3, 0)], gate_mm=13.0)
     assert found.region_of == (0, 1)
     assert found.apart
-    assert [found.fate(load) for load in (0, 1)] == ["apart", "apart"]
+    assert [found.name_outcome(load) for load in (0, 1)] == ["apart", "apart"]
 
 
 def test_a_region_between_two_loads_is_both_of_theirs():
     found = assign_regions([_disc(0, 0, 3.0)], [_load(-8, 0), _load(8.1, 0), _load(0, 40)], gate_mm=13.0)
     assert (found.region_of, found.merged_with) == ((0, None, None), (None, 0, None))
     assert (found.merged, found.missed, found.false) == ((1,), (2,), ())
-    assert [found.fate(load) for load in range(3)] == ["merged", "merged", "missed"]
+    assert [found.name_outcome(load) for load in range(3)] == ["merged", "merged", "missed"]
 
 
 def test_a_region_that_covers_both_loads_is_theirs_however_far_its_centre():
     found = assign_regions([_disc(0, 0, 30.0)], [_load(-20, 0), _load(20, 0.1)], gate_mm=13.0)
-    assert sorted(found.fate(load) for load in (0, 1)) == ["merged", "merged"]
+    assert sorted(found.name_outcome(load) for load in (0, 1)) == ["merged", "merged"]
     assert found.false == ()
 
 

@@ -48,7 +48,7 @@ def test_a_bar_between_whole_ends_is_a_chain_of_resistors(contact_mm):
 def test_a_finer_mesh_of_another_maker_agrees():
     """The simulated strip, with a mesh of its own, is changed under the head by the same."""
     station, sensor_type = load_station("simulated-strip").value, load_sensor_type("strip-40x20mm").value
-    design = SheetDesign.plain(sensor_type, station.indenter, 0.2)
+    design = SheetDesign.make_uniform(sensor_type, station.indenter, 0.2)
     size_mm = load_scene("strip").value.sheet_mesh_size_mm
     sheet = SimulatedSheet(design, size_mm=size_mm, interelectrode_resistance_ohm=18_100.0)
     read = np.array([sheet.voltages({(0.0, 0.0): float(change)})[0, 0] for change in CHANGES])

@@ -83,7 +83,7 @@ def test_pressing_again_to_the_same_depth_stays_on_the_way_back():
 
 @given(width=st.floats(0, 10))
 def test_a_soft_edge_keeps_what_presses_in_all(width):
-    design = SheetDesign.plain(OF.sensor_type, OF.indenter)
+    design = SheetDesign.make_uniform(OF.sensor_type, OF.indenter)
     HeadEdge(OF, width_mm=width).design(design)
     assert sum(ring.weight * ring.size**2 for ring in design.rings) == pytest.approx(1)
     sizes = [ring.size for ring in design.rings]
@@ -96,7 +96,7 @@ def test_a_soft_edge_keeps_what_presses_in_all(width):
     [("punch", lambda rho: 0.5 / math.sqrt(1 - rho**2)), ("parabola", lambda rho: 2 * (1 - rho**2))],
 )
 def test_a_profile_is_its_pressure_in_annuli(shape, pressure):
-    design = SheetDesign.plain(OF.sensor_type, OF.indenter)
+    design = SheetDesign.make_uniform(OF.sensor_type, OF.indenter)
     PressureProfile(OF, shape=shape).design(design)
     assert sum(ring.weight * ring.size**2 for ring in design.rings) == pytest.approx(1)
     for rho in (0.25, 0.45, 0.65):
@@ -105,7 +105,7 @@ def test_a_profile_is_its_pressure_in_annuli(shape, pressure):
 
 
 def test_edges_and_profiles_combine():
-    design = SheetDesign.plain(OF.sensor_type, OF.indenter)
+    design = SheetDesign.make_uniform(OF.sensor_type, OF.indenter)
     PressureProfile(OF, shape="parabola").design(design)
     HeadEdge(OF, width_mm=1.0).design(design)
     assert len(design.rings) == 80
@@ -126,7 +126,7 @@ def test_a_head_whose_smaller_outlines_leave_it_is_refused(make):
     ):
         head = Indenter.with_outline(corners)
         if good:
-            design = SheetDesign.plain(OF.sensor_type, head)
+            design = SheetDesign.make_uniform(OF.sensor_type, head)
             make(replace(OF, indenter=head)).design(design)
             assert sum(ring.weight * ring.size**2 for ring in design.rings) == pytest.approx(1)
         else:

@@ -22,7 +22,7 @@ UNEVEN = {"conductance": UnevenConductance, "response": UnevenResponse, "thickne
 
 
 def plain():
-    return SheetDesign.plain(OF.sensor_type, OF.indenter)
+    return SheetDesign.make_uniform(OF.sensor_type, OF.indenter)
 
 
 def factor_of(seed, **parameters):

@@ -141,7 +141,7 @@ def test_an_uneven_response_is_found_where_it_is():
     uneven = {"name": "uneven-response", "deviation": 0.25, "correlation_mm": 20.0}
     run = _observed(simulated_run(places, seed=5, noise=_QUIET, scene=_scene(uneven)))
     at = setting(seed=5)
-    design = SheetDesign.plain(at.sensor_type, at.indenter)
+    design = SheetDesign.make_uniform(at.sensor_type, at.indenter)
     UnevenResponse(at, deviation=0.25, correlation_mm=20.0).design(design)
     rings = HEAD.radius_mm * np.sqrt((np.arange(12) + 0.5) / 12)
     head = np.concatenate(

@@ -27,7 +27,7 @@ _PERIOD_S = 2.5
 
 @pytest.fixture(scope="module")
 def sheet() -> SimulatedSheet:
-    return SimulatedSheet(SheetDesign.plain(SENSOR, HEAD), size_mm=4.0, interelectrode_resistance_ohm=1e4)
+    return SimulatedSheet(SheetDesign.make_uniform(SENSOR, HEAD), size_mm=4.0, interelectrode_resistance_ohm=1e4)
 
 
 @pytest.fixture(scope="module")

@@ -301,7 +301,7 @@ def test_readings_that_are_all_noise_are_as_good_as_missing(pin_sensor):
 
 def test_a_noise_figure_that_no_truncation_keeps_within_is_refused(problem):
     with pytest.raises(NumericsError, match=r"no number of components reaches noise figure 1e-06") as refused:
-        Truncation(problem).within(1e-6)
+        Truncation(problem).count_components(1e-6)
     assert "bad channels" in refused.value.remedy
 
 

@@ -125,6 +125,6 @@ def test_watched_effects_do_what_they_do():
     names = ("piezoresistivity", "measurement-noise")
     seen, plain = world(scene(*names), effect_factory=watched), world(scene(*names))
     assert set(watched.effects) == set(names)
-    within = watched.within(lambda: seen.voltages_V(3.0, 1))
+    within = watched.time_call(lambda: seen.voltages_V(3.0, 1))
     assert within["measurement-noise"] > 0
     assert (seen.voltages_V(3.0, 1) == plain.voltages_V(3.0, 1)).all()

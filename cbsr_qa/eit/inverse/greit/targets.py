@@ -147,7 +147,7 @@ def _check_resolved(mesh: Mesh, head_mm: float, radii_mm: tuple[float, ...]) -> 
 def make_targets(problem: ImagingProblem, fold: ReadingFold, design: TargetDesign) -> Targets:
     """Make targets of every size all over the sheet, linear in contrast; NumericsError if no reading senses one."""
     mesh, nodes = problem.mesh, problem.mesh.nodes_mm
-    centres = nodes[_apart(nodes, _CLOSEST * design.head_mm)]
+    centres = nodes[_thin_out(nodes, _CLOSEST * design.head_mm)]
     white = fold.rows(problem.jacobian) / np.sqrt(fold.variance)[:, None]
     signals_by_radius = [disc_signals(white, mesh, centres, radius) for radius in design.radii_mm]
     signals, count = np.hstack(signals_by_radius), len(centres)
@@ -189,7 +189,7 @@ def neighbours(points_mm: Array, places_mm: Array, reach_mm: float) -> list[Indi
     return [np.asarray(near, dtype=np.int64) for near in indices_by_place]
 
 
-def _apart(nodes: Array, distance: float) -> Indices:
+def _thin_out(nodes: Array, distance: float) -> Indices:
     """Indices of nodes no closer than a distance to each other: all of them on the usual image mesh."""
     pairs = cKDTree(nodes).query_pairs(distance, output_type="ndarray")
     keep = np.ones(len(nodes), dtype=np.bool_)

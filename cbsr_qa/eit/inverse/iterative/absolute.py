@@ -24,7 +24,7 @@ from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.forward.value_range import ValueRangeError
 from cbsr_qa.eit.inverse.overlap import overlap_fractions
-from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, even_model
+from cbsr_qa.eit.inverse.problem import NOMINAL_CONTACT_MM, make_uniform_model
 from cbsr_qa.eit.inverse.readings import ReadingFold
 
 #: Largest number of steps; three to six suffice.
@@ -70,7 +70,7 @@ class SheetModel:
     def __init__(self, problem: ImagingProblem, mesh_size: float) -> None:
         sensor = problem.sensor_type
         self.fold = ReadingFold.from_problem(problem)
-        self._even = even_model(sensor, mesh_size)
+        self._even = make_uniform_model(sensor, mesh_size)
         self._share: sparse.csr_matrix = overlap_fractions(self._even.mesh, problem.mesh)
         drive, measure = np.argwhere(problem.used)[self.fold.first].T
         self._drive, self._measure = drive.astype(np.int64), measure.astype(np.int64)
@@ -194,7 +194,9 @@ class Linearised:
         try:
             self._factor = linalg.cho_factor(system, lower=True)
         except (linalg.LinAlgError, ValueError) as error:  # not positive to rounding, or not finite
-            raise _beyond(f"noise variances of {variance.min():.2g} to {variance.max():.2g} leave") from error
+            raise _no_finite_image(
+                f"noise variances of {variance.min():.2g} to {variance.max():.2g} leave"
+            ) from error
 
     def matrix(self) -> Array:
         """First step from here per change of the readings, (e + electrodes, g)."""
@@ -247,7 +249,7 @@ def most_probable_state(
         with np.errstate(all="ignore"):  # non-finite values are refused here
             step, weights, fall = linearised.step(wanted, place)
         if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
-            raise _beyond(f"readings of up to {np.abs(wanted).max():.2g} give")
+            raise _no_finite_image(f"readings of up to {np.abs(wanted).max():.2g} give")
         if fall <= TOLERANCE + _SHARE * cost:
             return _describe_state(linearised, wanted, number)
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
@@ -284,7 +286,7 @@ def _describe_state(here: Linearised, wanted: Array, steps: int) -> FoundState:
     )
 
 
-def _beyond(what: str) -> NumericsError:
+def _no_finite_image(what: str) -> NumericsError:
     return NumericsError(
         f"the absolute image cannot be computed: {what} no finite numbers, or none that rounding does not decide",
         remedy="check the units of readings and of their noise variances, and noise_dB",

@@ -311,11 +311,11 @@ class _Newton:
         self._core = linalg.lu_factor(core)
 
     def solve(self, right: Array) -> Array:
-        estimate = self._once(right)
+        estimate = self._solve_once(right)
         residual = right - self._rows.T @ (self._rows @ estimate)
         residual -= self.jumps.T @ (self.weights * (self.jumps @ estimate))
-        return estimate + self._once(residual)
+        return estimate + self._solve_once(residual)
 
-    def _once(self, right: Array) -> Array:
+    def _solve_once(self, right: Array) -> Array:
         guess = self._laplacian.solve(right)
         return guess - self._back @ linalg.lu_solve(self._core, self._low @ guess)

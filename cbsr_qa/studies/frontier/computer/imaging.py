@@ -170,12 +170,12 @@ def _prepare(method: MethodSetting, factor: float) -> Prepare:
     return (
         make_method(method).prepare
         if factor == 1.0
-        else partial(_prepare_smoothed, method, _own_choice(method) * factor)
+        else partial(_prepare_smoothed, method, _choose_nominal(method) * factor)
     )
 
 
 @cache
-def _own_choice(method: MethodSetting) -> float:
+def _choose_nominal(method: MethodSetting) -> float:
     """λ, or its equivalent, chosen by a method on the sensor type's nominal problem."""
     return make_method(method).prepare(_problem()).choice.value
 

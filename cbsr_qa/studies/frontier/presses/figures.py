@@ -6,7 +6,7 @@ from typing import Final
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure as Canvas
 
-from cbsr_qa.report.draw.style import BLUE, FAINT, INK, VERMILION, canvas, dots, draw_svg, plain_ticks, plot
+from cbsr_qa.report.draw.style import BLUE, FAINT, INK, VERMILION, canvas, dots, draw_svg, place_plain_ticks, plot
 from cbsr_qa.studies.frontier.point import Point
 from cbsr_qa.studies.frontier.presses.needed import PLACE
 
@@ -53,7 +53,7 @@ def draw_press_errors(
         )
     coverage.set_ylim(min(40.0, coverage.get_ylim()[0]), 103)
     for axis in (error.xaxis, coverage.xaxis, error.yaxis):
-        plain_ticks(axis, _TICKS)
+        place_plain_ticks(axis, _TICKS)
     error.legend(frameon=False, fontsize=7, loc="lower left")
     return figure
 

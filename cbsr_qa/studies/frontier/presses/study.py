@@ -73,7 +73,7 @@ def study_presses(
     """
     labelled.check()
     has_change = np.any(labelled.readings.changes != 0, axis=1)
-    labelled = labelled.some(np.flatnonzero(has_change))
+    labelled = labelled.select(np.flatnonzero(has_change))
     draws = list(_draws(labelled, quick=quick))
     trials_by_draw: dict[tuple[str, int], list[Trial | str]] = {}
     for done, (series, presses, learned, located) in enumerate(draws):

@@ -43,7 +43,7 @@ def try_presses(labelled: LabelledPresses, learned: Indices, located: Indices) -
     RecordingError or CalibrationError if nothing can be learned from these presses.
     """
     begin = time.perf_counter()
-    model = learn_presses(labelled.some(learned)).place.model
+    model = learn_presses(labelled.select(learned)).place.model
     locate = PlaceEstimator(model, pairs=labelled.readings.distinct.pairs)
     learning_s = time.perf_counter() - begin
     changes, true_mm = labelled.readings.changes[located], labelled.presses.place_mm[located]

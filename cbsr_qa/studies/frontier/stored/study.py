@@ -29,7 +29,7 @@ from cbsr_qa.studies.frontier.stored.batch import (
 )
 from cbsr_qa.studies.frontier.stored.trial import Design, StoredTrial, Way, plan_trial, read_design
 from cbsr_qa.studies.frontier.study import Frontier
-from cbsr_qa.studies.selection import check_names, several_recipes
+from cbsr_qa.studies.selection import check_names, describe_recipes
 from cbsr_qa.studies.sweep import Kept, Tell, Work, compute_pieces
 
 FORCE: Final = "force_error"
@@ -154,7 +154,7 @@ def _choose_runs(store: Repository, selection: RunSelection) -> list[RunLine]:
         raise RefusedError("no finished run fits", remedy="choose other days or names")
     recipes = {line.recipe for line in lines}
     if len(recipes) > 1:
-        raise RefusedError(f"these runs are of {several_recipes(recipes)}", remedy="choose one by --of-recipe")
+        raise RefusedError(f"these runs are of {describe_recipes(recipes)}", remedy="choose one by --of-recipe")
     latest = {line.serial: line for line in lines}
     if len(latest) < _FEWEST_SENSORS:
         raise RefusedError(

@@ -10,7 +10,7 @@ from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.eit.forward.model import ForwardModel
 from cbsr_qa.eit.forward.value_range import REFINED_ABOVE, UNREFINED_ERROR, ValueRangeError
 from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition, condition_bound
-from cbsr_qa.studies.hard_cases.exact import apart
+from cbsr_qa.studies.hard_cases.exact import relative_difference
 from cbsr_qa.studies.hard_cases.sheets import (
     ELECTRODES,
     RADIUS_MM,
@@ -43,10 +43,10 @@ def readings_of(conductance: Array | None = None, ratio: float | None = None) ->
     lengths = small_model().prepared.contacts.lengths_mm
     impedance = np.full(ELECTRODES, _USUAL_MM) if ratio is None else ratio * lengths
     values = inclusion(1.0) if conductance is None else conductance
-    return against_fifty_digits(small_model().with_values(conductance=values, contact_impedance=impedance))
+    return compare_fifty_digits(small_model().with_values(conductance=values, contact_impedance=impedance))
 
 
-def against_fifty_digits(
+def compare_fifty_digits(
     model: ForwardModel, computed: Array | None = None, *, condition: float | None = None
 ) -> Answer:
     """Readings of a model of the first order, or others (drives, measures) in their place, against fifty digits.
@@ -147,7 +147,7 @@ def slivers_of_a_millionth() -> Answer:
     model = ForwardModel(mesh, small_model().pattern, np.ones(len(mesh.elements)), np.full(ELECTRODES, _USUAL_MM))
     longest = np.hypot(*np.diff(mesh.corners_mm[:, [0, 1, 2, 0]], axis=1).transpose(2, 0, 1)).max(axis=1)
     condition = float((longest * np.abs(mesh.corners_mm).max(axis=(1, 2)) / mesh.areas_mm2).max())
-    return against_fifty_digits(model, condition=condition)
+    return compare_fifty_digits(model, condition=condition)
 
 
 @AREA.against(_LENGTHS)
@@ -206,7 +206,7 @@ def derivatives_over_8_decades() -> Answer:
         model.jacobian()[is_usable] @ model.conductance
         - model.contact_jacobian()[is_usable] @ model.contact_impedance
     )
-    return answer_from_condition(apart(-summed, voltages), reading_condition(model))
+    return answer_from_condition(relative_difference(-summed, voltages), reading_condition(model))
 
 
 @AREA.refuses(ValueRangeError, "the refusal, by the elements and their conductances")

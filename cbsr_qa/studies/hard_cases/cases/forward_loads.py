@@ -11,7 +11,7 @@ from cbsr_qa.eit.forward.coverage import disc_coverage
 from cbsr_qa.eit.forward.model import point_model
 from cbsr_qa.eit.loads.local import LocalUpdate
 from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
-from cbsr_qa.studies.hard_cases.cases.forward import FIFTY, against_fifty_digits
+from cbsr_qa.studies.hard_cases.cases.forward import FIFTY, compare_fifty_digits
 from cbsr_qa.studies.hard_cases.sheets import (
     inclusion,
     islands,
@@ -34,7 +34,7 @@ def compare_load(before: Array, factor: float) -> Answer:
     model, elements = small_model().with_values(conductance=before), _under_a_head()
     change = (factor - 1) * before[elements]
     pressed = model.with_change_on(elements, change)
-    return against_fifty_digits(
+    return compare_fifty_digits(
         pressed, LocalUpdate(model).voltages(elements, change), condition=reading_condition(pressed, before)
     )
 
@@ -71,7 +71,7 @@ def load_beside_perfect_contacts() -> Answer:
     elements = _under_a_head()
     model = small_model().with_values(contact_impedance=1e-8 * small_model().prepared.contacts.lengths_mm)
     change = np.ones(len(elements))
-    return against_fifty_digits(model.with_change_on(elements, change), LocalUpdate(model).voltages(elements, change))
+    return compare_fifty_digits(model.with_change_on(elements, change), LocalUpdate(model).voltages(elements, change))
 
 
 @AREA.against(FIFTY)
@@ -81,7 +81,7 @@ def loads_a_nanometre_apart() -> Answer:
     loads = [disc_coverage(model.mesh, x, -3.0, 9.0) for x in (8.0, 8.0 + 1e-6)]
     elements = np.concatenate([covered for covered, _ in loads])
     change = np.concatenate([0.5 * share for _, share in loads])
-    return against_fifty_digits(model.with_change_on(elements, change), LocalUpdate(model).voltages(elements, change))
+    return compare_fifty_digits(model.with_change_on(elements, change), LocalUpdate(model).voltages(elements, change))
 
 
 @AREA.against(FIFTY)
@@ -90,7 +90,7 @@ def contacts_become_1e7_poorer() -> Answer:
     model = small_model()
     impedance = 1e7 * model.prepared.contacts.lengths_mm
     computed = LocalUpdate(model).voltages(np.zeros(0, dtype=np.int64), np.zeros(0), impedance)
-    return against_fifty_digits(model.with_values(contact_impedance=impedance), computed)
+    return compare_fifty_digits(model.with_values(contact_impedance=impedance), computed)
 
 
 @AREA.against("the readings of the sheet before")

@@ -16,8 +16,14 @@ from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import ReadingFold, reading_noise
 from cbsr_qa.eit.inverse.scaling import changes, scale_doubts, scale_of
 from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
-from cbsr_qa.studies.hard_cases.exact import apart
-from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, mask_electrodes, prepare_method, usual_problem, usual_sensor
+from cbsr_qa.studies.hard_cases.exact import relative_difference
+from cbsr_qa.studies.hard_cases.sheets import (
+    IMAGE_MM,
+    make_usual_problem,
+    make_usual_sensor,
+    mask_electrodes,
+    prepare_method,
+)
 
 AREA: Final = Area("readings")
 _SEED: Final = 20261123
@@ -27,7 +33,7 @@ _SIGNAL: Final = 1e-4  # a light touch, of a reading
 
 def _frames() -> tuple[ImagingProblem, Array, Array]:
     """The usual problem, a reference frame [V] and one of a load (drives, measures)."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     reference = np.zeros(problem.used.shape)
     reference[problem.used] = 1e-3 * problem.reference
     random = np.random.default_rng(_SEED)
@@ -59,7 +65,9 @@ def _offset(times: float) -> Answer:
     scale = scale_of(reference, problem)
     computed = changes((changed + offset)[None], reference + offset, problem, scale)[0]
     exact = _change(problem, changed, reference, scale)
-    return answer_from_condition(apart(computed, exact), _change_condition(problem, changed, reference, offset))
+    return answer_from_condition(
+        relative_difference(computed, exact), _change_condition(problem, changed, reference, offset)
+    )
 
 
 def _image_in_units(factor: float) -> Answer:
@@ -70,7 +78,9 @@ def _image_in_units(factor: float) -> Answer:
     for unit in (1.0, factor):
         scale = scale_of(unit * reference, problem)
         images.append(method.images(changes((unit * changed)[None], unit * reference, problem, scale))[0])
-    return answer_from_condition(apart(images[1], images[0]), _change_condition(problem, changed, reference))
+    return answer_from_condition(
+        relative_difference(images[1], images[0]), _change_condition(problem, changed, reference)
+    )
 
 
 def _noise(offset: float, beginning_s: float) -> Answer:
@@ -84,7 +94,7 @@ def _noise(offset: float, beginning_s: float) -> Answer:
     variance = reading_noise(noise, time_s).variance
     computed = reading_noise(noise + offset, time_s + beginning_s).variance
     condition = offset / float(noise.std()) + beginning_s / 7.5
-    return answer_from_condition(apart(computed, variance), condition)
+    return answer_from_condition(relative_difference(computed, variance), condition)
 
 
 _WHOLE: Final = "the same numbers, as whole fractions"
@@ -145,21 +155,21 @@ def single_precision_frames() -> Answer:
     scale = scale_of(reference, problem)
     computed = changes(single[None], single_reference, problem, scale)[0]
     exact = _change(problem, single.astype(np.float64), single_reference.astype(np.float64), scale)
-    lost = apart(computed, _change(problem, changed, reference, scale))
+    lost = relative_difference(computed, _change(problem, changed, reference, scale))
     note = f"what the format itself has lost of the change is {lost:.1e}"
-    return answer_from_condition(apart(computed, exact), 1.0, note=note)
+    return answer_from_condition(relative_difference(computed, exact), 1.0, note=note)
 
 
 @AREA.against("the difference of whole numbers")
 def counts_at_both_ends_of_16_bits() -> Answer:
     """Integer counts whose difference does not fit the type they come in."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     low, high = np.iinfo(np.int16).min, np.iinfo(np.int16).max
     reference: NDArray[Any] = np.full(problem.used.shape, low, dtype=np.int16)
     frame: NDArray[Any] = np.full((1, *problem.used.shape), high, dtype=np.int16)
     computed = changes(frame, reference, problem, 1.0)[0]
     exact = np.full(len(computed), float(int(high) - int(low)))
-    return Answer(apart(computed, exact), 0.0, note="the bound is zero: whole numbers")
+    return Answer(relative_difference(computed, exact), 0.0, note="the bound is zero: whole numbers")
 
 
 @AREA.against(_WHOLE)
@@ -169,13 +179,13 @@ def frame_of_zeros() -> Answer:
     scale = scale_of(reference, problem)
     computed = changes(np.zeros((1, *reference.shape)), reference, problem, scale)[0]
     exact = _change(problem, np.zeros_like(reference), reference, scale)
-    return answer_from_condition(apart(computed, exact), 1.0)
+    return answer_from_condition(relative_difference(computed, exact), 1.0)
 
 
 @AREA.against("the image with zeros in these channels")
 def nonsense_in_masked_channels() -> Answer:
     """The channels of an open electrode hold NaN, infinity and 1e300, and are masked."""
-    sensor = usual_sensor()
+    sensor = make_usual_sensor()
     is_used = mask_electrodes(sensor, (5,))
     problem = imaging_problem(sensor, used=is_used, image_size_mm=IMAGE_MM)
     method = prepare_method(_METHOD, problem, {})
@@ -193,7 +203,7 @@ def nonsense_in_masked_channels() -> Answer:
 @AREA.against("weighted means as whole fractions")
 def reciprocal_readings_twelve_decades_apart() -> Answer:
     """Reciprocal readings with noise variances up to twelve decades apart."""
-    plain_problem = usual_problem()
+    plain_problem = make_usual_problem()
     decades = np.random.default_rng(_SEED).permutation(np.linspace(-5.9, 5.9, len(plain_problem.reference)))
     problem = replace(plain_problem, noise_variance=10**decades)
     readings = np.random.default_rng(_SEED + 1).standard_normal(len(decades))
@@ -220,7 +230,7 @@ def reciprocal_readings_twelve_decades_apart() -> Answer:
 @AREA.against("the channels that were made so")
 def saturated_stuck_and_missing() -> Answer:
     """One channel at the source's limit in every tenth frame, one that never changes, one not recorded."""
-    sensor = usual_sensor()
+    sensor = make_usual_sensor()
     random = np.random.default_rng(_SEED)
     voltages = 1.0 + 1e-3 * random.standard_normal((60, *sensor.pattern.shape))
     flags = np.zeros(voltages.shape, dtype=np.uint8)
@@ -269,15 +279,15 @@ def frame_with_nan() -> None:
 @AREA.refuses(NumericsError, "the refusal, by how many are left and needed")
 def seven_readings_left() -> None:
     """So many channels are masked that seven independent readings are left for two thousand elements."""
-    is_used = np.zeros(usual_sensor().pattern.shape, dtype=np.bool_)
+    is_used = np.zeros(make_usual_sensor().pattern.shape, dtype=np.bool_)
     is_used[0, 2:9] = True
-    imaging_problem(usual_sensor(), used=is_used, image_size_mm=IMAGE_MM)
+    imaging_problem(make_usual_sensor(), used=is_used, image_size_mm=IMAGE_MM)
 
 
 @AREA.refuses(NumericsError, "the refusal, by the readings left")
 def eleven_electrodes_off() -> None:
     """Eleven electrodes have come off: three independent readings are left, and any image would be guessed."""
-    sensor = usual_sensor()
+    sensor = make_usual_sensor()
     imaging_problem(sensor, used=mask_electrodes(sensor, tuple(range(11))), image_size_mm=IMAGE_MM)
 
 

@@ -16,8 +16,8 @@ from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import ReadingFold
 from cbsr_qa.eit.inverse.temporal import Correlation, smooth
 from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
-from cbsr_qa.studies.hard_cases.exact import DIGITS, apart, exact_image
-from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, prepare_method, usual_problem, usual_sensor
+from cbsr_qa.studies.hard_cases.exact import DIGITS, exact_image, relative_difference
+from cbsr_qa.studies.hard_cases.sheets import IMAGE_MM, make_usual_problem, make_usual_sensor, prepare_method
 
 AREA: Final = Area("reconstruction")
 FIFTY: Final = "the normal equations, solved in fifty digits"
@@ -37,10 +37,10 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
 
     Parameters
     ----------
-    kind : kind of :func:`usual_problem`.
+    kind : kind of :func:`make_usual_problem`.
     relative : λ over the largest singular value of W^½JR^−½.
     """
-    problem = usual_problem(kind)
+    problem = make_usual_problem(kind)
     weights = _weights(name, problem)
     fold = ReadingFold.from_problem(problem)
     rows = fold.rows(problem.jacobian)
@@ -52,7 +52,7 @@ def ridge(name: str, kind: str, relative: float) -> Answer:
     folded = fold.fold(readings[None])[0]
     exact = exact_image(rows, weights, value, fold.variance, folded)
     condition = ridge_condition(sizes, value)
-    return answer_from_condition(apart(computed, exact), condition)
+    return answer_from_condition(relative_difference(computed, exact), condition)
 
 
 def _weights(name: str, problem: ImagingProblem) -> Array:
@@ -74,7 +74,7 @@ def ridge_condition(sizes: Array, value: float) -> float:
 
 def _l_curve(relative: float) -> Answer:
     """xᵀRx of the L-curve at an extreme λ against fifty digits."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     sizes = linalg.svdvals(ReadingFold.from_problem(problem).rows(problem.jacobian))
     values, coefficients = sizes**2, np.random.default_rng(_SEED).standard_normal((1, len(sizes)))
     curves = RidgeCurves(values, coefficients)
@@ -156,7 +156,7 @@ def three_electrodes_off() -> Answer:
 @AREA.against("λ²x = R⁻¹JᵀWy in the limit, to 1e-18")
 def nothing_but_regularisation() -> Answer:
     """λ a thousand million times the largest singular value: the image vanishes."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     weights = noser(problem.jacobian, 0.5)
     readings = _changes(problem)
     value = 1e9 * float(linalg.norm(problem.jacobian / np.sqrt(weights), 2))
@@ -166,25 +166,25 @@ def nothing_but_regularisation() -> Answer:
     fold = ReadingFold.from_problem(problem)
     limit = (fold.rows(problem.jacobian).T @ (fold.fold(readings[None])[0] / fold.variance)) / weights
     condition = float(np.linalg.norm(np.abs(problem.jacobian).T @ np.abs(readings) / weights) / np.linalg.norm(limit))
-    return answer_from_condition(apart(computed, limit), condition)
+    return answer_from_condition(relative_difference(computed, limit), condition)
 
 
 @AREA.against("the image at λ = 10²⁰: the limit")
 def greit_of_nothing_but_regularisation() -> Answer:
     """GREIT with λ = 10¹⁰: its rows vanish and are scaled back to the target's amplitude."""
-    problem, readings = usual_problem(), _changes(usual_problem())
+    problem, readings = make_usual_problem(), _changes(make_usual_problem())
     large, larger = (
         prepare_method("greit", problem, {"hyperparameter": value}).images(readings[None])[0]
         for value in (1e10, 1e20)
     )
     condition = float(np.linalg.norm(readings) * np.sqrt(len(large)) / np.linalg.norm(large))
-    return answer_from_condition(apart(large, larger), max(condition, 1.0))
+    return answer_from_condition(relative_difference(large, larger), max(condition, 1.0))
 
 
 @AREA.against("the constant that explains the readings best, in fifty digits")
 def total_variation_of_nothing_but_smoothness() -> Answer:
     """Total variation with α = 10²⁰⁰: no jump is worth its price."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
     image = prepare_method("total-variation", problem, {"hyperparameter": 1e200}).images(readings[None])[0]
     with mp.workdps(DIGITS):
@@ -197,20 +197,20 @@ def total_variation_of_nothing_but_smoothness() -> Answer:
 @AREA.against("R(cJ, cλ) = R(J, λ)/c, exactly")
 def sensor_in_picovolts() -> Answer:
     """A model whose voltages are 1e12 times those of another."""
-    problem, scale = usual_problem(), 1e12
+    problem, scale = make_usual_problem(), 1e12
     other = replace(problem, jacobian=scale * problem.jacobian, reference=scale * problem.reference)
     readings = _changes(problem)
     name, value = "gauss-newton-tikhonov", 1e-4
     usual = prepare_method(name, problem, {"hyperparameter": value}).images(readings[None])[0]
     scaled = prepare_method(name, other, {"hyperparameter": scale * value}).images(scale * readings[None])[0]
     condition = ridge_condition(linalg.svdvals(problem.jacobian), value)
-    return answer_from_condition(apart(scaled, usual), condition)
+    return answer_from_condition(relative_difference(scaled, usual), condition)
 
 
 @AREA.against("an image of zeros, exactly")
 def frame_equal_to_its_reference() -> Answer:
     """Nothing has changed: an image of rounding errors would show a load."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     names = (
         "gauss-newton-noser", "gauss-newton-tikhonov", "gauss-newton-laplace", "gauss-newton-indenter",
         "gauss-newton-high-pass", "temporal", "total-variation",
@@ -249,19 +249,19 @@ def frames_alike_for_one() -> Answer:
 @AREA.refuses(ConfigError, "the refusal, by λ and its range")
 def parameter_beyond_doubles() -> None:
     """λ = 1e60, whose square leaves an image of rounding errors only."""
-    prepare_method("gauss-newton-noser", usual_problem(), {"hyperparameter": 1e60})
+    prepare_method("gauss-newton-noser", make_usual_problem(), {"hyperparameter": 1e60})
 
 
 @AREA.refuses(NumericsError, "the refusal, by λ and the least that is allowed")
 def greit_without_regularisation() -> None:
     """GREIT with λ = 0: more training targets than readings can tell apart."""
-    prepare_method("greit", usual_problem(), {"hyperparameter": 0.0})
+    prepare_method("greit", make_usual_problem(), {"hyperparameter": 0.0})
 
 
 @AREA.refuses(NumericsError, "the refusal, by what the image lacks")
 def total_variation_next_to_none() -> None:
     """Total variation with α = 10⁻³⁰, below a rounding of what it is added to."""
-    problem = usual_problem()
+    problem = make_usual_problem()
     readings = problem.jacobian @ np.linspace(0.5, 1.5, len(problem.mesh.elements))
     prepare_method("total-variation", problem, {"hyperparameter": 1e-30}).images(readings[None])
 
@@ -269,13 +269,13 @@ def total_variation_next_to_none() -> None:
 @AREA.refuses(NumericsError, "the refusal, by the counts that split no pair")
 def half_a_pair_of_singular_values() -> None:
     """Truncation between two equal singular values, which would prefer a direction."""
-    prepare_method("truncated-svd", usual_problem(), {"components": 2})
+    prepare_method("truncated-svd", make_usual_problem(), {"components": 2})
 
 
 @AREA.refuses(NumericsError, "the refusal, by the reading")
 def noise_beyond_twelve_decades() -> None:
     """One reading is stated to be 1e13 times noisier than the others."""
-    sensor = usual_sensor()
+    sensor = make_usual_sensor()
     variance = np.ones(sensor.pattern.shape)
     variance[3, 8] = 1e13
     imaging_problem(sensor, noise_variance=variance, image_size_mm=IMAGE_MM)
@@ -284,6 +284,8 @@ def noise_beyond_twelve_decades() -> None:
 @AREA.refuses(NumericsError, "the refusal, with what to choose by instead")
 def parameter_from_frames_without_change() -> None:
     """λ is to be chosen by cross-validation, on frames that equal their reference."""
-    problem = usual_problem()
-    sampled = imaging_problem(usual_sensor(), sample=np.zeros((3, len(problem.reference))), image_size_mm=IMAGE_MM)
+    problem = make_usual_problem()
+    sampled = imaging_problem(
+        make_usual_sensor(), sample=np.zeros((3, len(problem.reference))), image_size_mm=IMAGE_MM
+    )
     prepare_method("gauss-newton-noser", sampled, {"choose": "gcv"})

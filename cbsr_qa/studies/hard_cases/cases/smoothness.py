@@ -16,8 +16,8 @@ from cbsr_qa.eit.inverse.dual import dual_matrix
 from cbsr_qa.eit.inverse.priors import laplace
 from cbsr_qa.studies.hard_cases.case import Answer, Area, answer_from_condition
 from cbsr_qa.studies.hard_cases.cases.reconstruction import FIFTY, ridge_condition
-from cbsr_qa.studies.hard_cases.exact import DIGITS, apart
-from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, prepare_method, ring_mesh, usual_problem
+from cbsr_qa.studies.hard_cases.exact import DIGITS, relative_difference
+from cbsr_qa.studies.hard_cases.sheets import RADIUS_MM, make_usual_problem, prepare_method, ring_mesh
 
 AREA: Final = Area("reconstruction")
 _SEED: Final = 20261122
@@ -49,7 +49,7 @@ def smooth(relative: float) -> Answer:
     readings = np.random.default_rng(_SEED).standard_normal(len(jacobian))
     computed = dual_matrix(jacobian, laplace(mesh), value) @ readings
     exact = _exact(jacobian, differences, value, readings)
-    return answer_from_condition(apart(computed, exact), ridge_condition(sizes, value))
+    return answer_from_condition(relative_difference(computed, exact), ridge_condition(sizes, value))
 
 
 def _differences(mesh: Mesh) -> Array:
@@ -88,4 +88,4 @@ def smooth_image_of_next_to_no_parameter() -> Answer:
 @AREA.refuses(NumericsError, "a refusal by λ")
 def no_regularisation_of_a_squared_system() -> None:
     """λ = 0 with the indenter's prior, which is solved for by normal equations."""
-    prepare_method("gauss-newton-indenter", usual_problem(), {"hyperparameter": 0.0})
+    prepare_method("gauss-newton-indenter", make_usual_problem(), {"hyperparameter": 0.0})

@@ -12,7 +12,7 @@ from scipy import linalg
 from cbsr_qa.eit.forward.value_range import ValueRangeError
 from cbsr_qa.eit.inverse.dual import dual_matrix, dual_spectrum
 from cbsr_qa.studies.hard_cases.case import Answer, condition_bound
-from cbsr_qa.studies.hard_cases.cases.forward import _sensitivities, against_fifty_digits
+from cbsr_qa.studies.hard_cases.cases.forward import _sensitivities, compare_fifty_digits
 from cbsr_qa.studies.hard_cases.cases.forward_loads import compare_load
 from cbsr_qa.studies.hard_cases.cases.readings import _image_in_units, _noise, _offset
 from cbsr_qa.studies.hard_cases.cases.reconstruction import _lasting, ridge_condition
@@ -52,7 +52,7 @@ def test_any_contrast_with_any_contacts_is_right_or_refused(kind, contrast, cont
         made = model.with_values(conductance=kind(10**contrast), contact_impedance=impedance)
     if made is not None:
         event("accepted")
-        check(against_fifty_digits(made))
+        check(compare_fifty_digits(made))
 
 
 @pytest.mark.rest
@@ -69,7 +69,7 @@ def test_sensitivities_are_right_at_any_contrast_and_good_contact(contrast, rati
 @example(seed=55, decades=8.0)  # 2e-13, the worst of some hundred
 @_FEW
 def test_any_scatter_of_conductances_is_right(seed, decades):
-    answer = against_fifty_digits(small_model().with_values(conductance=scatter_conductance(decades, seed)))
+    answer = compare_fifty_digits(small_model().with_values(conductance=scatter_conductance(decades, seed)))
     check(answer if decades <= 5 else replace(answer, bound=max(answer.bound, _SCATTERED)))
 
 
