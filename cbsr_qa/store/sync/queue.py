@@ -6,7 +6,21 @@ from datetime import UTC, datetime
 from enum import StrEnum
 from typing import Any, Final
 
-from sqlalchemy import ColumnElement, Engine, case, delete, func, or_, select, update
+from sqlalchemy import (
+    ColumnElement,
+    Connection,
+    Engine,
+    String,
+    and_,
+    case,
+    delete,
+    func,
+    null,
+    or_,
+    select,
+    type_coerce,
+    update,
+)
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.states import EndReason
@@ -84,11 +98,28 @@ class Backlog:
 
 
 def backlog(engine: Engine) -> Backlog:
-    """Return how much waits for the central database, and how long."""
-    entries = waiting(engine)
-    oldest = min((entry.noted_at for entry in entries), default=None)
-    age_h = None if oldest is None else max((datetime.now(UTC) - oldest).total_seconds() / 3600, 0.0)
-    return Backlog(len(entries), age_h, len(name_unread(engine)))
+    """Return how much waits for the central database, and how long: the database counts, as 100 000 rows may wait.
+
+    A row of unusual content, which may be one that cannot be read, is read by itself.
+    """
+    row, waits = OutboxRow, OutboxRow.state == str(EntryState.WAITING)
+    with reading(engine) as connection:
+        usual = _is_usual(connection)
+        counted = and_(usual, waits, _unsent())
+        counts = select(
+            func.count(case((counted, 1))),
+            func.min(case((counted, row.noted_at))),
+            func.count(case((usual, null()), else_=1)),
+        )
+        items, oldest, unusual = connection.execute(counts).one()
+    moments, unread = [] if oldest is None else [oldest], 0
+    if unusual:
+        others = case((usual, 0), else_=1) == 1
+        entries, _ = _read_entries(engine, others, waits, _unsent())
+        moments += [entry.noted_at for entry in entries]
+        items, unread = items + len(entries), len(_read_entries(engine, others)[1])
+    age_h = max((datetime.now(UTC) - min(moments)).total_seconds() / 3600, 0.0) if moments else None
+    return Backlog(items, age_h, unread)
 
 
 def list_held(engine: Engine) -> tuple[Entry, ...]:
@@ -154,6 +185,23 @@ def _unsent() -> ColumnElement[bool]:
     last = select(state.end).where(state.run == row.item).order_by(state.number.desc()).limit(1).correlate(row)
     open_run = last.scalar_subquery() == str(EndReason.RUNNING)
     return or_(row.sent < row.version, case((open_run, newest), else_=0) > row.sent)
+
+
+def _is_usual(connection: Connection) -> ColumnElement[bool]:
+    """Whether a row is certain to be an entry; one that is not usual may still be one."""
+    row = OutboxRow
+    words = and_(row.kind.in_(list(map(str, Kind))), row.state.in_(list(map(str, EntryState))))
+    if connection.dialect.name == "postgresql":  # which checks types itself
+        return and_(words, row.noted_at.between(datetime(1, 1, 2, tzinfo=UTC), datetime(9999, 12, 30, tzinfo=UTC)))
+    moment = type_coerce(row.noted_at, String)
+    return and_(
+        words,
+        *(func.typeof(cell) == "text" for cell in (row.item, row.why)),
+        *(func.typeof(cell) == "integer" for cell in (row.version, row.sent)),
+        *(cell.op("NOT GLOB")("*[^ -~]*") for cell in (row.item, row.why)),  # bytes that are no UTF-8 are not ASCII
+        func.datetime(moment) == moment,
+        moment >= "0001",
+    )
 
 
 def _read_entries(engine: Engine, *conditions: ColumnElement[bool]) -> tuple[tuple[Entry, ...], tuple[str, ...]]:

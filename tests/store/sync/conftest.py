@@ -31,8 +31,12 @@ def place(tmp_path):
 
 
 @pytest.fixture
-def station(place):
-    return place("station")
+def station(place, request):
+    """A station, of PostgreSQL where a test says so."""
+    url = request.getfixturevalue("postgres_database") if getattr(request, "param", "") == "postgresql" else ""
+    made = place("station", url)
+    yield made
+    made.engine.dispose()
 
 
 @pytest.fixture

@@ -1,6 +1,6 @@
 """One row that cannot be read is passed over and named, at the station and at the centre; everything else is sent."""
 
-from datetime import date
+from datetime import UTC, date, datetime, timedelta
 
 import pytest
 from synced import on_both, run_of, sent
@@ -42,7 +42,8 @@ def test_an_odd_row_of_the_outbox_is_passed_over_and_named(station, centre, row,
     run = run_of(station.store)
     station.change(f"INSERT INTO outbox VALUES ({row})")
     assert [entry.item for entry in waiting(station.engine)] == [run]
-    assert backlog(station.engine).unread == 1
+    counted = backlog(station.engine)
+    assert (counted.items, counted.unread) == (1, 1)
     done = synchronise(station.url, centre.url)
     assert (done.exit_code, done.result.runs, done.result.held) == (1, 1, ())
     (words,) = done.result.unread
@@ -52,6 +53,46 @@ def test_an_odd_row_of_the_outbox_is_passed_over_and_named(station, centre, row,
     status = sync_status(station.url, "")
     assert (status.exit_code, status.result.unread) == (1, (words,))
     assert problems_of(station) == [words]
+
+
+#: Rows that can be read, in ways that are not usual.
+UNUSUAL = [
+    "'release', 'rélease', 1, 0, CURRENT_TIMESTAMP, 'waiting', ''",
+    "'release', 'R', 1, 0, CURRENT_TIMESTAMP, 'waiting', 'the centre – not ours – is full'",
+    "'release', 'R', 1, 0, '2026-01-01 00:00:00.250000', 'waiting', ''",
+]
+
+
+@pytest.mark.parametrize("row", UNUSUAL)
+def test_a_row_that_is_not_usual_counts_as_any_other(station, row):
+    run_of(station.store)
+    station.change(f"INSERT INTO outbox VALUES ({row})")
+    counted, entries = backlog(station.engine), waiting(station.engine)
+    assert (counted.items, counted.unread) == (len(entries), 0) == (2, 0)
+    oldest_h = (datetime.now(UTC) - min(entry.noted_at for entry in entries)).total_seconds() / 3600
+    assert counted.age_h == pytest.approx(oldest_h, abs=0.1)
+
+
+@pytest.mark.parametrize("station", ["sqlite", pytest.param("postgresql", marks=pytest.mark.postgres)], indirect=True)
+def test_what_waits_is_counted_as_it_is_listed(station):
+    """Waiting, held, sent, sent but grown since, and open with links that were not announced."""
+    runs = [run_of(station.store, f"S-{number}") for number in range(4)]
+    open_run = run_of(station.store, "S-9", events=3)
+    old = datetime.now(UTC) - timedelta(hours=50)
+    for run in [*runs, open_run]:
+        station.change(f"UPDATE outbox SET noted_at = '{old:%Y-%m-%d %H:%M:%S}' WHERE item = '{run}'")
+        old += timedelta(hours=1)
+    station.change(f"UPDATE outbox SET state = 'quarantined' WHERE item = '{runs[0]}'")
+    station.change(f"UPDATE outbox SET sent = version WHERE item = '{runs[1]}'")
+    station.change(f"UPDATE outbox SET sent = 99, version = 99 WHERE item = '{open_run}'")
+    station.change(f"DELETE FROM outbox WHERE item = '{runs[2]}'")
+    assert [entry.item for entry in waiting(station.engine)] == [runs[3]]
+    counted = backlog(station.engine)
+    assert (counted.items, counted.unread) == (1, 0)
+    assert counted.age_h == pytest.approx(47.0, abs=0.1)
+    station.change(f"UPDATE outbox SET sent = 1, version = 1 WHERE item = '{open_run}'")
+    assert sorted(entry.item for entry in waiting(station.engine)) == sorted([runs[3], open_run])
+    assert backlog(station.engine).items == 2
 
 
 @on_both
