@@ -14,6 +14,7 @@ from sqlalchemy import (
     and_,
     case,
     delete,
+    false,
     func,
     null,
     or_,
@@ -25,7 +26,7 @@ from sqlalchemy import (
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.engine import reading, writing
-from cbsr_qa.store.odd_rows import read_rows_apart
+from cbsr_qa.store.odd_rows import keep_odd_text, read_rows_apart
 from cbsr_qa.store.outbox import EntryState, Kind
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.runs import RunStateRow
@@ -102,20 +103,19 @@ def backlog(engine: Engine) -> Backlog:
 
     A row of unusual content, which may be one that cannot be read, is read by itself.
     """
-    row, waits = OutboxRow, OutboxRow.state == str(EntryState.WAITING)
-    with reading(engine) as connection:
+    row, waits = OutboxRow, and_(OutboxRow.state == str(EntryState.WAITING), _unsent())
+    with reading(engine) as connection, keep_odd_text(connection):
         usual = _is_usual(connection)
-        counted = and_(usual, waits, _unsent())
-        counts = select(
-            func.count(case((counted, 1))),
-            func.min(case((counted, row.noted_at))),
-            func.count(case((usual, null()), else_=1)),
-        )
-        items, oldest, unusual = connection.execute(counts).one()
+        counts = select(func.count(), func.count(case((waits, 1))), func.min(case((waits, row.noted_at))))
+        joined = _join_text(connection)
+        usual_rows, items, oldest, text = connection.execute(counts.add_columns(joined).where(usual)).one()
+        rows = connection.scalar(select(func.count()).select_from(row))
+    if isinstance(text, bytes):  # one of these rows holds text that is not UTF-8
+        usual_rows, items, oldest, usual = 0, 0, None, false()
     moments, unread = [] if oldest is None else [oldest], 0
-    if unusual:
+    if usual_rows != rows:
         others = case((usual, 0), else_=1) == 1
-        entries, _ = _read_entries(engine, others, waits, _unsent())
+        entries, _ = _read_entries(engine, others, waits)
         moments += [entry.noted_at for entry in entries]
         items, unread = items + len(entries), len(_read_entries(engine, others)[1])
     age_h = max((datetime.now(UTC) - min(moments)).total_seconds() / 3600, 0.0) if moments else None
@@ -188,7 +188,7 @@ def _unsent() -> ColumnElement[bool]:
 
 
 def _is_usual(connection: Connection) -> ColumnElement[bool]:
-    """Whether a row is certain to be an entry; one that is not usual may still be one."""
+    """Whether a row is certain to be an entry, if its text is UTF-8; one that is not usual may still be one."""
     row = OutboxRow
     words = and_(row.kind.in_(list(map(str, Kind))), row.state.in_(list(map(str, EntryState))))
     if connection.dialect.name == "postgresql":  # which checks types itself
@@ -198,10 +198,16 @@ def _is_usual(connection: Connection) -> ColumnElement[bool]:
         words,
         *(func.typeof(cell) == "text" for cell in (row.item, row.why)),
         *(func.typeof(cell) == "integer" for cell in (row.version, row.sent)),
-        *(cell.op("NOT GLOB")("*[^ -~]*") for cell in (row.item, row.why)),  # bytes that are no UTF-8 are not ASCII
         func.datetime(moment) == moment,
         moment >= "0001",
     )
+
+
+def _join_text(connection: Connection) -> ColumnElement[Any]:
+    """Select all text of the rows as one: SQLite itself does not check whether it is UTF-8."""
+    if connection.dialect.name == "postgresql":
+        return null()
+    return func.group_concat(type_coerce(OutboxRow.item, String) + OutboxRow.why, "\n")
 
 
 def _read_entries(engine: Engine, *conditions: ColumnElement[bool]) -> tuple[tuple[Entry, ...], tuple[str, ...]]:
