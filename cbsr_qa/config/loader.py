@@ -16,7 +16,7 @@ from cbsr_qa.config.recipe import RecipeFile, with_picture
 from cbsr_qa.config.scene import STATION_TABLES, SceneFile
 from cbsr_qa.config.sensor_type import ScannedTypeFile, SensorTypeFile
 from cbsr_qa.config.standards import StandardsFile
-from cbsr_qa.config.station import CertificateFile, StationFile, resolve_options
+from cbsr_qa.config.station import CertificateFile, StationFile, UnfinishedStationFile, resolve_options
 from cbsr_qa.config.tables import FileModel, validate
 from cbsr_qa.config.text import line_of
 from cbsr_qa.domain.errors import ConfigError, NumericsError
@@ -83,7 +83,7 @@ class Loaded(Generic[T]):
         return self.document.folder
 
 
-def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Station]:
+def load_station(source: Source, plugins: Plugins | None = None, *, unfinished: bool = False) -> Loaded[Station]:
     """Load a station. References of its instruments to files next to it become full paths.
 
     The document has nobody on the list of operators, see :mod:`cbsr_qa.config.gate`.
@@ -91,13 +91,15 @@ def load_station(source: Source, plugins: Plugins | None = None) -> Loaded[Stati
     Parameters
     ----------
     plugins : installed plugins, to check their options as well; None checks none. The same for every loader here.
+    unfinished : whether instruments that every run needs may be missing.
 
     Raises
     ------
     ConfigError
         As for every loader here: the file does not exist or is not TOML, or a list of its problems.
     """
-    loaded = _load(DocumentKind.STATION, StationFile, source, None, plugins)
+    model = UnfinishedStationFile if unfinished else StationFile
+    loaded = _load(DocumentKind.STATION, model, source, None, plugins)
     instruments = tuple(resolve_options(i, loaded.folder) for i in loaded.value.instruments)
     document = replace(loaded.document, data=empty_operators(loaded.document.data))
     return Loaded(replace(loaded.value, instruments=instruments), document)

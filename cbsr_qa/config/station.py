@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
-from typing import Annotated, Any, Literal
+from typing import Annotated, Any, ClassVar, Literal
 
 from pydantic import ConfigDict, Field
 
@@ -239,6 +239,9 @@ class CertificateFile(FileModel[CertificateSettings]):
 class StationFile(FileModel[Station]):
     """A station file."""
 
+    #: Roles that must be filled.
+    needed_roles: ClassVar[tuple[str, ...]] = NEEDED_ROLES
+
     station: StationTable
     indenter: IndenterTable
     motion: MotionTable
@@ -289,7 +292,7 @@ class StationFile(FileModel[Station]):
                     finding = f"names {role!r}, which instruments.{instrument_by_role[role]} already provides"
                     yield Problem(("instruments", name, "provides"), finding)
                 instrument_by_role.setdefault(role, name)
-        for role in NEEDED_ROLES:
+        for role in self.needed_roles:
             if role not in instrument_by_role:
                 yield Problem(("instruments",), f"has nothing that provides {role!r}; every run needs it")
 
@@ -339,6 +342,12 @@ class StationFile(FileModel[Station]):
             else CertificateFile(certificate=self.certificate).to_domain(),
             events=tuple(table.to_domain(name) for name, table in sorted(self.events.items())),
         )
+
+
+class UnfinishedStationFile(StationFile):
+    """A station file that may lack instruments: for checks of those that are there."""
+
+    needed_roles = ()
 
 
 def resolve_options(instrument: InstrumentSpec, near: Path | None) -> InstrumentSpec:

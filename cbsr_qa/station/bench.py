@@ -156,7 +156,7 @@ class Bench:
         self.frame_source: FrameSource = _find_role(mounting_by_role, FRAME_SOURCE)
         self.force_applicator: ForceApplicator = _find_role(mounting_by_role, FORCE_APPLICATOR)
         self.samplers = _samplers([mounting for role, mounting in mounting_by_role.items() if role not in _PROTOCOLS])
-        _link(self.mounted, mounting_by_role)
+        link_instruments(self.mounted, mounting_by_role)
 
     def identities(self) -> tuple[InstrumentIdentity, ...]:
         """Identify every instrument; an emulated one counts as simulated, whatever it reports.
@@ -280,7 +280,8 @@ def _names(expected: str, found: str) -> bool:
     )
 
 
-def _link(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
+def link_instruments(mounted: Iterable[Mounted], filled: Mapping[str, Mounted]) -> None:
+    """Give every instrument that works through others those that fill the roles; ConfigError if it lacks one."""
     peers = {role: mounting.instrument for role, mounting in filled.items()}
     for mounting in mounted:
         if isinstance(mounting.instrument, Linked):

@@ -34,6 +34,7 @@ def configure(
     material: str | None,
     seed: int,
     plugins: Plugins | None = None,
+    unfinished: bool = False,
 ) -> Configuration:
     """Load and merge the files of a run.
 
@@ -44,8 +45,9 @@ def configure(
     sensor_type, material : files or names that replace the station's own; those are looked for next to its file
         first.
     plugins : installed plugins, to check their options in the same pass; None checks no options.
+    unfinished : whether the station may lack instruments that every run needs.
     """
-    loaded_station = load_station(station, plugins)
+    loaded_station = load_station(station, plugins, unfinished=unfinished)
     return merge(
         loaded_station,
         load_recipe(recipe, plugins),

@@ -31,7 +31,10 @@ from cbsr_qa.testing.reconstructions import (
     compare_elsewhere as compare_elsewhere,
     elsewhere_readings as elsewhere_readings,
 )
-from cbsr_qa.testing.replaying import replay_transcript as replay_transcript
+from cbsr_qa.testing.replaying import (
+    replay_pairs as replay_pairs,
+    replay_transcript as replay_transcript,
+)
 from cbsr_qa.testing.scanning import (
     check_multiplexer as check_multiplexer,
     check_self_test as check_self_test,

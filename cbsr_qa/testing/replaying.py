@@ -1,12 +1,12 @@
 """Tests of drivers against a recorded session with the real instrument."""
 
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
 from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.taps import use_tap
-from cbsr_qa.plugin.links.transcript import Transcript
+from cbsr_qa.plugin.links.transcript import Pair, Transcript
 from cbsr_qa.system.clock import Clock
 
 
@@ -14,7 +14,7 @@ from cbsr_qa.system.clock import Clock
 def replay_transcript(path: Path, clock: Clock) -> Iterator[Transcript]:
     """Have every serial port and VISA resource that is opened meanwhile answer as in a transcript, by its role.
 
-    A driver that sends something else than was sent then meets a link that is down, with the line in its error.
+    What a driver sends must be what was sent then; the first that differs is an InstrumentError that names the line.
     RefusedError if the transcript is not whole.
 
     Parameters
@@ -25,3 +25,17 @@ def replay_transcript(path: Path, clock: Clock) -> Iterator[Transcript]:
     transcript = Transcript.read(path)
     with use_tap(Replay(transcript, None, clock)):
         yield transcript
+
+
+@contextmanager
+def replay_pairs(role: str, pairs: Iterable[Pair], clock: Clock, *, end: bytes = b"\n") -> Iterator[None]:
+    """Have the role's serial port or VISA resource answer as pairs (sent, received) of PyMeasure's tests state.
+
+    Parameters
+    ----------
+    pairs : bytes or text; None where nothing is sent, or nothing received.
+    clock : as for :func:`replay_transcript`.
+    end : of every line, which such pairs leave out.
+    """
+    with use_tap(Replay(Transcript.from_pairs(role, pairs, end=end), None, clock)):
+        yield

@@ -18,10 +18,10 @@ from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
 from cbsr_qa.plugin.discovery import Plugins
-from cbsr_qa.plugin.instruments import Instrument, Linked, Sampler, SelfTesting
+from cbsr_qa.plugin.instruments import FrameSource, Instrument, Linked, Sampler, SelfTesting
 from cbsr_qa.plugin.links.recorder import Listener
 from cbsr_qa.plugin.links.taps import Tap, use_tap
-from cbsr_qa.report.tables import number, unit_shown
+from cbsr_qa.report.tables import list_names, number, unit_shown
 from cbsr_qa.station.bench import (
     FORCE_APPLICATOR,
     FORCE_CHANNEL,
@@ -30,6 +30,7 @@ from cbsr_qa.station.bench import (
     Bench,
     Mounted,
     identity_of,
+    link_instruments,
     stop_all,
 )
 from cbsr_qa.station.setup import check_clock, opener
@@ -43,6 +44,8 @@ Confirm = Callable[[str], bool] | None
 _WHOLE: Final = "whole bench"
 #: What drives or switches a current, beside the source of frames.
 _ELECTRICAL: Final = ("source_meter", "multiplexer")
+#: What a bench needs for a run.
+_NEEDED_ROLES: Final = (FRAME_SOURCE, FORCE_APPLICATOR, FORCE_CHANNEL)
 _NO_RING: Final = "give --ring-ohm, or [reference_ring] in the station file"
 
 
@@ -152,6 +155,8 @@ class _Look:
         self._mounted: list[Mounted] = []
         self._missing = 0
         self._bench: Bench | None = None
+        self._frame_source: FrameSource | None = None
+        self._together = False
 
     def open(self, spec: InstrumentSpec, opened: Callable[[InstrumentSpec], Instrument], today: date) -> None:
         self._tell(f"asking {spec.role}")
@@ -232,20 +237,28 @@ class _Look:
                 reason, role = "it works through others, of which one is missing", mounted.spec.role
                 self._add(CheckResult("identity", CheckOutcome.NOT_DONE, said=reason, subject=role))
             return
+        provided = {role: mounted for mounted in self._mounted for role in mounted.spec.provides}
+        lacking = [role for role in _NEEDED_ROLES if role not in provided]
         try:
-            bench = Bench(self._mounted, after=after)
+            bench = None if lacking else Bench(self._mounted, after=after)
+            if bench is None:
+                said = f"no instrument provides {list_names(lacking)} yet, which every run needs"
+                self._add(CheckResult("together", CheckOutcome.NOT_DONE, said=said, subject=_WHOLE))
+                link_instruments(self._mounted, provided)
             emulates = any(mounted.spec.emulated for mounted in self._mounted)
             for mounted in linked_instruments:
                 self._ask(mounted, emulated=emulates and "address" not in mounted.spec.options)
             if not self._missing:
                 check_clock(self.configuration, self.found.instruments)
-                self._bench = bench
+                self._bench, self._together = bench, True
+                source = provided[FRAME_SOURCE].instrument if FRAME_SOURCE in provided else None
+                self._frame_source = source if isinstance(source, FrameSource) else None
         except Exception as error:  # noqa: BLE001 - as above: linking calls drivers
             self._add(_error_result(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
 
     def sample(self) -> None:
         """Check that every channel has samples within the allowed age of data."""
-        if self._bench is None:
+        if not self._together:
             return
         stale_s, begun_s = self.configuration.station.safety.stale_s, self._clock.now()
         self._clock.sleep(stale_s)
@@ -267,15 +280,17 @@ class _Look:
         if not resistances_ohm:
             reason = f"{sensor_type.name} has {sensor_type.electrodes.count} electrodes; a ring needs at least three"
             return self._add(_skip_ring(reason, "set the station up for a sensor type with more"))
-        if self._bench is None:
-            return self._add(_skip_ring("the instruments do not work together", "see above"))
+        if self._frame_source is None:
+            together = self._together
+            reason = "there is no source of frames yet" if together else "the instruments do not work together"
+            return self._add(_skip_ring(reason, "" if together else "see above"))
         if not connected:
             reason = "it is not known whether the ring is connected"
             return self._add(_skip_ring(reason, "run it from a terminal, or with --ring-connected once it is"))
         self._tell("measuring the reference ring")
         try:
             with end_forked_copies():
-                frames = self._bench.frame_source.acquire(ring.frames)
+                frames = self._frame_source.acquire(ring.frames)
         except Exception as error:  # noqa: BLE001 - as above
             return self._add(_error_result(RING, "readings", error))
         self.found.ring = RingReadings(frames, resistances_ohm)
@@ -292,7 +307,10 @@ class _Look:
         for name, problems in (("safe state", unsafe), ("closing", unclosed)):
             for problem in problems:
                 remedy = "switch the source off and lift the head by hand, then check this instrument"
-                self._add(CheckResult(name, CheckOutcome.FAILED, said=problem, remedy=remedy, subject=_WHOLE))
+                if self._tap.replays:
+                    remedy = ""
+                said = problem.replace("\n", "; ")
+                self._add(CheckResult(name, CheckOutcome.FAILED, said=said, remedy=remedy, subject=_WHOLE))
         if self._mounted and not unsafe:
             finding = "source off, head up: every instrument says so"
             self._add(CheckResult("safe state", CheckOutcome.OK, said=finding, subject=_WHOLE))

@@ -29,6 +29,7 @@ from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.transcript import Transcript
 from cbsr_qa.plugin.software import software_versions
 from cbsr_qa.report.render import render_sections, report_name, write_report
+from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.station.control.lock import station_held
 from cbsr_qa.station.interrupts import on_stderr
 from cbsr_qa.station.setup import configure, station_clock
@@ -130,6 +131,8 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
         store.stations.save_check(check, findings.ring)
     named = "" if golden is None else golden.words
     outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring, golden_run=named)
+    if recorder is not None:
+        outcome = _add_transcript(outcome, recorder)
     return _write_page(outcome, reports_folder() / report_name("station", check.station, check.check))
 
 
@@ -145,7 +148,8 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
     configuration = _configuration(request, plugins)
     ring = _ring(request, configuration.station.reference_ring)
     clock = VirtualClock()
-    replay = Replay(Transcript.read(path), configuration.station, clock)
+    transcript = Transcript.read(path)
+    replay = Replay(transcript, configuration.station, clock)
     with stoppable():
         findings = look_at_bench(
             configuration,
@@ -157,7 +161,10 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
             tell=console.tell,
             tap=replay,
         )
-    check = _check(f"replay of {path.name}", request, configuration, software_versions(plugins), findings, None)
+    name = f"replay of {path.name}"
+    if transcript.station != configuration.station.name:
+        name += f", recorded at station {transcript.station}"
+    check = _check(name, request, configuration, software_versions(plugins), findings, None)
     return check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring)
 
 
@@ -215,6 +222,7 @@ def _configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
         material=request.material,
         seed=request.seed,
         plugins=plugins,
+        unfinished=request.golden is None,
     )
 
 
@@ -328,4 +336,18 @@ def _write_page(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandO
         result, printed = replace(outcome.result, page=path), str(path)
     except CbsrError as error:
         result, printed = replace(outcome.result, page_why=error.reason), f"none: {error.reason}"
-    return replace(outcome, result=result, page=replace(outcome.page, printed=(("Page", printed),)))
+    page = replace(outcome.page, printed=(("Page", printed), *outcome.page.printed))
+    return replace(outcome, result=result, page=page)
+
+
+def _add_transcript(outcome: CommandOutcome[CheckedStation], recorder: Recorder) -> CommandOutcome[CheckedStation]:
+    """Name the transcript, and the instruments of which it has nothing."""
+    silent = [role for role, events in recorder.events_by_role.items() if not events]
+    if len(silent) == len(recorder.events_by_role):
+        result, words = outcome.result, "none: no bytes passed between drivers and instruments"
+    else:
+        result = replace(outcome.result, transcript=recorder.path)
+        events = plural(sum(recorder.events_by_role.values()), "event")
+        words = f"{recorder.path}: {events}{f', none of {list_names(silent)}' if silent else ''}"
+    page = replace(outcome.page, printed=(("Transcript", words), *outcome.page.printed))
+    return replace(outcome, result=result, page=page)

@@ -45,7 +45,12 @@ class AnsweringInstrument:
 
 @dataclass(frozen=True, slots=True)
 class CheckedStation:
-    """A stored check of a station; ``page_why`` says why there is no ``page``."""
+    """A stored check of a station; ``page_why`` says why there is no ``page``.
+
+    Parameters
+    ----------
+    transcript : file of ``station record``; None if nothing was recorded.
+    """
 
     check: str
     station: str
@@ -58,6 +63,7 @@ class CheckedStation:
     configuration_digest: str
     page: Path | None = None
     page_why: str = ""
+    transcript: Path | None = None
 
 
 def check_outcome(

@@ -7,15 +7,16 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import Station
-from cbsr_qa.plugin.links.taps import SHOWN, hide, is_timeout, list_secrets
-from cbsr_qa.plugin.links.transcript import Event, end_line, escape, head_lines
+from cbsr_qa.plugin.links.taps import hide, is_timeout, list_secrets
+from cbsr_qa.plugin.links.transcript import NOT_OPENED, Event, end_line, head_lines, quote
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.files import writing
 
-#: Bytes of an answer that are remembered.
+#: Bytes of an answer that are remembered, and those of its end that are shown.
 _REMEMBERED: Final = 4096
+_SHOWN: Final = 40
 
 
 class Listener:
@@ -29,7 +30,16 @@ class Listener:
         self._received: dict[str, bytes] = {}
 
     def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
-        return _HeardLink(open_real(), role, self)
+        """Open the real link, and listen to it; a failure to open it is noted."""
+        try:
+            link = open_real()
+        except CbsrError as error:
+            words = error.reason
+            if isinstance(error, InstrumentError):
+                words = words.removeprefix(f"{error.role} at {error.address}: ")
+            self.note(role, "!", NOT_OPENED + words.encode())
+            raise
+        return _HeardLink(link, role, self)
 
     def note(self, role: str, sign: str, data: bytes) -> None:
         """Note an event: ``>`` and bytes sent, ``<`` and bytes received; others are ignored."""
@@ -42,12 +52,16 @@ class Listener:
         """Say what was sent last and what came then; empty if nothing was sent."""
         if role not in self._sent:
             return ""
-        received = escape(self._received[role])[-SHOWN:]
-        return f"sent {escape(self._sent[role])[:SHOWN]!r}, received {repr(received) if received else 'nothing'}"
+        received = self._received[role][-_SHOWN:]
+        return f"sent {quote(self._sent[role])}, received {quote(received) if received else 'nothing'}"
 
 
 class Recorder(Listener):
     """Also writes all that passes through the links to a transcript; end it with :meth:`close`.
+
+    Parameters
+    ----------
+    path : file to write; it is taken away again if nothing passed.
 
     Raises
     ------
@@ -60,7 +74,9 @@ class Recorder(Listener):
         self._clock = clock
         self._writing = threading.Lock()
         self._digest = hashlib.sha256()
-        self._events = 0
+        self.path = path
+        #: Events written of each instrument.
+        self.events_by_role = dict.fromkeys((spec.role for spec in station.instruments), 0)
         with writing(path):
             try:
                 self._file = path.open("x", encoding="ascii", newline="\n")
@@ -76,13 +92,16 @@ class Recorder(Listener):
         with self._writing:
             super().note(role, sign, data)
             self._write_line(Event(self._clock.now(), role, sign, hide(data, self._hidden)).format())
-            self._events += 1
+            self.events_by_role[role] += 1
 
     def close(self) -> None:
         """Write the last line."""
         with self._writing:
-            self._write_line(end_line(self._events, self._digest.hexdigest()))
+            events = sum(self.events_by_role.values())
+            self._write_line(end_line(events, self._digest.hexdigest()))
             self._file.close()
+            if not events:
+                self.path.unlink()
 
     def _write_line(self, line: str) -> None:
         self._digest.update(f"{line}\n".encode("ascii"))

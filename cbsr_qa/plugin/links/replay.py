@@ -3,13 +3,15 @@
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
-from typing import Any
+from typing import Any, Final
 
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import Station
-from cbsr_qa.plugin.links.taps import SHOWN, hide, list_secrets, make_timeout
-from cbsr_qa.plugin.links.transcript import Event, Transcript, escape
+from cbsr_qa.plugin.links.taps import hide, list_secrets, make_timeout
+from cbsr_qa.plugin.links.transcript import NOT_OPENED, Event, Transcript, quote
 from cbsr_qa.system.clock import Clock
+
+_SAME_CHECK: Final = "replay it with the options, the station file and the version it was recorded with"
 
 
 class Replay:
@@ -26,20 +28,26 @@ class Replay:
     def __init__(self, transcript: Transcript, station: Station | None, clock: Clock) -> None:
         self._transcript, self._clock = transcript, clock
         self._hidden = [] if station is None else list_secrets(station)
+        #: By role: a link that is opened again goes on where it was.
+        self._links: dict[str, ReplayedLink] = {}
         if station is None:
             return
         for spec in station.instruments:
             driver = transcript.drivers.get(spec.role)
             if driver != spec.driver:
-                recorded = f"with driver {driver}" if driver else "without it"
+                recorded = f"with driver {driver}" if driver else "without this instrument"
                 raise RefusedError(
-                    f"{transcript.name} was recorded {recorded}; instrument {spec.role!r} of station"
-                    f" {station.name!r} has {spec.driver}",
-                    remedy="replay it at the station it was recorded at",
+                    f"instrument {spec.role!r} of station {station.name!r} has driver {spec.driver};"
+                    f" {transcript.name} was recorded {recorded}, at station {transcript.station!r}",
+                    remedy="replay it with the station file it was recorded with",
                 )
 
     def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
-        return ReplayedLink(self._transcript, role, self._clock, self._hidden)
+        """Open a role's link, or open it again. InstrumentError if it did not open then."""
+        if role not in self._links:
+            self._links[role] = ReplayedLink(self._transcript, role, self._clock, self._hidden)
+        self._links[role].open()
+        return self._links[role]
 
     def describe_last(self, role: str) -> str:
         return ""
@@ -48,8 +56,8 @@ class Replay:
 class ReplayedLink:
     """A serial port or VISA resource that answers as one role of a transcript.
 
-    What is sent must be what was sent then, in its order: the first that differs is an OSError that names the line.
-    An answer that did not come then does not come now.
+    What is sent must be what was sent then, in its order: the first that differs is an InstrumentError that names the
+    line, and the link is of no use from there. An answer that did not come then does not come now.
 
     Parameters
     ----------
@@ -58,7 +66,8 @@ class ReplayedLink:
     """
 
     def __init__(self, transcript: Transcript, role: str, clock: Clock, hidden: Sequence[bytes] = ()) -> None:
-        self._name, self._clock, self._hidden = transcript.name, clock, hidden
+        self._role, self._name, self._clock, self._hidden = role, transcript.name, clock, hidden
+        self._differs = ""
         self._events = deque(event for event in transcript.events if event.role == role)
         self._received = bytearray()
         self._lock = threading.RLock()
@@ -74,19 +83,18 @@ class ReplayedLink:
             return len(self._received)
 
     def write(self, data: bytes) -> int:
-        """Take what is sent. OSError if something else was sent then, or nothing more."""
+        """Take what is sent. InstrumentError if something else was sent then, or nothing more."""
         with self._lock:
             sent = hide(data, self._hidden)
             while self._events and self._events[0].sign in "<-":
                 self._take_next()
             if not self._events:
-                raise OSError(f"{self._name} ends before {escape(sent)[:SHOWN]!r} is sent")
-            event = self._take_next()
-            if event.sign == ">" and event.data != sent:
-                raise OSError(
-                    f"line {event.line} of {self._name} sent {escape(event.data)[:SHOWN]!r}, now"
-                    f" {escape(sent)[:SHOWN]!r} is sent"
-                )
+                self._differs = self._differs or f"the transcript ends before {quote(sent)} is sent"
+            elif not self._differs:
+                event = self._take_next()
+                if event.data != sent:
+                    self._differs = f"line {event.line} has sent {quote(event.data)}, now {quote(sent)} is sent"
+            self._refuse_what_differs()
             return len(data)
 
     def write_raw(self, data: bytes) -> int:
@@ -95,6 +103,7 @@ class ReplayedLink:
     def read(self, size: int) -> bytes:
         """Return up to so many bytes; those that came later are waited for if there is a timeout."""
         with self._lock:
+            self._refuse_what_differs()
             self._take_received(by_s=self._clock.now())
             while len(self._received) < size and self.timeout and self._events and self._events[0].sign in "<!":
                 self._take_next()
@@ -103,6 +112,7 @@ class ReplayedLink:
     def read_raw(self) -> bytes:
         """Return the next answer as it was read then. VisaIOError (timeout) if none was."""
         with self._lock:
+            self._refuse_what_differs()
             if not self._received and self._events and self._events[0].sign in "<!":
                 self._take_next()
             if not self._received:
@@ -112,6 +122,7 @@ class ReplayedLink:
     def read_bytes(self, count: int) -> bytes:
         """Return exactly so many bytes. VisaIOError (timeout) if they were not read then."""
         with self._lock:
+            self._refuse_what_differs()
             while len(self._received) < count and self._events and self._events[0].sign in "<!":
                 self._take_next()
             if len(self._received) < count:
@@ -124,8 +135,21 @@ class ReplayedLink:
                 self._take_next()
             self._received.clear()
 
+    def open(self) -> None:
+        """Open it, also again. InstrumentError if it did not open then."""
+        with self._lock:
+            self.is_open = True
+            self._received.clear()
+            if self._events and self._events[0].sign == "!" and self._events[0].data.startswith(NOT_OPENED):
+                words = self._events.popleft().data.removeprefix(NOT_OPENED).decode(errors="replace")
+                raise InstrumentError(self._role, self._name, words)
+
     def close(self) -> None:
         self.is_open = False
+
+    def _refuse_what_differs(self) -> None:
+        if self._differs:
+            raise InstrumentError(self._role, self._name, self._differs, remedy=_SAME_CHECK)
 
     def _take_received(self, *, by_s: float) -> None:
         while self._events and self._events[0].sign in "<!" and self._events[0].time_s <= by_s:
@@ -137,7 +161,7 @@ class ReplayedLink:
         if (later_s := event.time_s - self._clock.now()) > 0:
             self._clock.sleep(later_s)
         if event.sign == "!":
-            raise OSError(event.data.decode())
+            raise OSError(event.data.decode(errors="replace"))
         if event.sign == "<":
             self._received += event.data
         return event

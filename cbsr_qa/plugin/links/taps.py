@@ -9,8 +9,6 @@ from cbsr_qa.domain.plan.plan import Station
 #: Options of instruments whose values are not written.
 _SECRET: Final = ("password", "passphrase", "secret", "token")
 _HIDDEN: Final = b"***"
-#: Longest part of a line in a message.
-SHOWN: Final = 60
 
 
 class Tap(Protocol):

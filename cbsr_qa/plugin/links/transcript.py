@@ -2,14 +2,15 @@ r"""Transcripts: every byte between drivers and instruments, with its time, as a
 
 The first line names the format, the next ones the station and its instruments with their drivers. Then comes one line
 per event, ``TIME ROLE SIGN BYTES``: seconds of the station's clock; ``>`` sent to the instrument, ``<`` received from
-it, ``-`` received and thrown away, ``!`` a failure of the link, in words. Bytes that are not printable ASCII are
-written ``\n``, ``\r``, ``\t``, ``\\`` or ``\xNN``. The last line counts the events and has the SHA-256 of all lines
-before it, so that a file that was cut off or changed is noticed.
+it, ``-`` received and thrown away, ``!`` a failure of the link, in words, which begin with ``open: `` if it did not
+open. Bytes that are not printable ASCII are written ``\n``, ``\r``, ``\t``, ``\\`` or ``\xNN``. The last line counts
+the events and has the SHA-256 of all lines before it, so that a file that was cut off or changed is noticed.
 """
 
+import codecs
 import hashlib
 import re
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Final, Self
@@ -18,6 +19,11 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.system.foreign import read_foreign
 
 _FORMAT: Final = "cbsr-qa transcript 1"
+_ANY_FORMAT: Final = re.compile(r"cbsr-qa transcript (?P<version>\d+)")
+#: How the words of a link that could not be opened begin.
+NOT_OPENED: Final = b"open: "
+#: Longest part of an event in a message.
+_SHOWN: Final = 60
 #: Largest file that is read [bytes].
 _LARGEST: Final = 2**30
 _SIGNS: Final = (">", "<", "-", "!")
@@ -26,6 +32,11 @@ _END: Final = re.compile(r"end (?P<count>\d+) sha256 (?P<digest>[0-9a-f]{64})")
 _ESCAPE: Final = re.compile(rb"\\(x[0-9a-f]{2}|.?)", re.DOTALL)
 _NAMED: Final = {b"n": b"\n", b"r": b"\r", b"t": b"\t", b"\\": b"\\"}
 _RECORD_AGAIN: Final = "record it again: cbsr-qa station record"
+_UNCHANGED: Final = f"take the file as it was recorded, or {_RECORD_AGAIN}"
+
+
+#: What was sent and what was received.
+Pair = tuple[bytes | str | None, bytes | str | None]
 
 
 @dataclass(frozen=True, slots=True)
@@ -72,33 +83,48 @@ class Transcript:
     def read(cls, path: Path) -> Self:
         """Read a file. RefusedError if it is no transcript, was cut off, or was changed, naming the line."""
         try:
-            text = read_foreign(path, _LARGEST).decode("ascii")
+            content = read_foreign(path, _LARGEST)
+            if content.startswith(codecs.BOM_UTF8):
+                raise _error(path, "begins with a byte order mark, which an editor added", _UNCHANGED)
+            text = content.decode("ascii")
         except OSError as error:
             raise RefusedError(f"{path} cannot be read: {error.strerror or error}") from error
         except UnicodeDecodeError as error:
             raise _error(path, f"byte {error.start + 1} is not ASCII", "name a transcript") from error
         lines = text.splitlines()
-        if not lines or lines[0] != _FORMAT:
+        other = _ANY_FORMAT.fullmatch(lines[0]) if lines else None
+        if other is not None and lines[0] != _FORMAT:
+            raise _error(path, f"is of format {other['version']}; this version reads {_FORMAT[-1]}", _RECORD_AGAIN)
+        if other is None:
             raise _error(path, f"does not begin with {_FORMAT!r}", "name a file of cbsr-qa station record")
         end = _END.fullmatch(lines[-1])
         if end is None:
+            ends = [number for number, line in enumerate(lines, start=1) if _END.fullmatch(line)]
+            if ends:
+                raise _error(path, f"goes on after line {ends[0]}, its end", _UNCHANGED)
             remedy = f"events after line {len(lines)} are lost; {_RECORD_AGAIN}"
             raise _error(path, f"was cut off: line {len(lines)} is not its end", remedy)
         station, drivers, first = _read_head(path, lines)
         events = tuple(_read_event(path, number, lines[number - 1]) for number in range(first, len(lines)))
         if int(end["count"]) != len(events) or digest(lines[:-1]) != end["digest"]:
-            reason = f"was changed: its last line states {end['count']} events, or another SHA-256 than the lines"
-            raise _error(path, reason, _RECORD_AGAIN)
+            stated = "another SHA-256 than its lines have"
+            if int(end["count"]) != len(events):
+                stated = f"{end['count']} events, and there are {len(events)}"
+            raise _error(path, f"was changed: its last line states {stated}", _UNCHANGED)
+        _check_order(path, drivers, events)
         return cls(station, drivers, events, str(path))
 
     @classmethod
-    def from_pairs(cls, role: str, pairs: Iterable[tuple[bytes | None, bytes | None]]) -> Self:
-        """Return a transcript of byte pairs (sent, received), as PyMeasure's tests of drivers state them.
+    def from_pairs(cls, role: str, pairs: Iterable[Pair], *, end: bytes = b"") -> Self:
+        """Return a transcript of pairs (sent, received), as PyMeasure's tests of drivers state them.
 
-        None where nothing was sent, or nothing received.
+        Parameters
+        ----------
+        pairs : bytes or text; None where nothing was sent, or nothing received.
+        end : of every line; PyMeasure's pairs leave it out.
         """
         events = [
-            Event(0.0, role, sign, data)
+            Event(0.0, role, sign, (data.encode("ascii") if isinstance(data, str) else data) + end)
             for pair in pairs
             for sign, data in zip("><", pair, strict=True)
             if data is not None
@@ -142,6 +168,11 @@ def unescape(text: str) -> bytes:
     return _ESCAPE.sub(replace, text.encode("ascii"))
 
 
+def quote(data: bytes) -> str:
+    """Return bytes for a message: escaped, in quotation marks, cut where they are long."""
+    return f"'{escape(data)[:_SHOWN]}'"
+
+
 def _read_head(path: Path, lines: Sequence[str]) -> tuple[str, dict[str, str], int]:
     """Return station, drivers by role, and the number of the first event's line."""
     station, drivers = "", {}
@@ -150,6 +181,8 @@ def _read_head(path: Path, lines: Sequence[str]) -> tuple[str, dict[str, str], i
         if kind == "station" and len(words) == 1:
             station = words[0]
         elif kind == "instrument" and len(words) == 2:
+            if words[0] in drivers:
+                raise _error(path, f"line {number} names instrument {words[0]!r} a second time", _RECORD_AGAIN)
             drivers[words[0]] = words[1]
         else:
             return station, drivers, number
@@ -164,6 +197,19 @@ def _read_event(path: Path, number: int, line: str) -> Event:
         return Event(float(event["time"]), event["role"], event["sign"], unescape(event["data"]), number)
     except ValueError as error:
         raise _error(path, f"line {number} is {line[:60]!r}: {error}", _RECORD_AGAIN) from error
+
+
+def _check_order(path: Path, drivers: Mapping[str, str], events: Sequence[Event]) -> None:
+    """Refuse an event before the one above it, or of an instrument that the head does not name (RefusedError)."""
+    latest_s = 0.0
+    for event in events:
+        if event.role not in drivers:
+            reason = f"line {event.line} is of {event.role!r}, which is not among the instruments of its head"
+            raise _error(path, reason, _RECORD_AGAIN)
+        if event.time_s < latest_s:
+            reason = f"line {event.line} is at {event.time_s:g} s, before the line above it ({latest_s:g} s)"
+            raise _error(path, reason, _RECORD_AGAIN)
+        latest_s = event.time_s
 
 
 def _error(path: Path, reason: str, remedy: str) -> RefusedError:

@@ -2,20 +2,24 @@
 
 import json
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
 from simulated_setting import context
 
+from cbsr_qa.analysis.ring import RING
 from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.plugin import Kind
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa.testing import replay_transcript
 
+BENCH_FILE = Path(__file__).parents[3] / "stations" / "bench-emulated.toml"
 BENCH = CheckRequest("bench-emulated", ring_ohm=10000.0)
 
 
@@ -95,3 +99,59 @@ def test_an_existing_file_is_refused_before_anything_is_opened(recorded, monkeyp
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     with pytest.raises(RefusedError, match="exists already"):
         check_station(CheckRequest("bench-emulated", record=recorded[1]))
+
+
+def test_the_command_names_the_transcript_and_the_station_of_another(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    path, cell = tmp_path / "cell.txt", tmp_path / "cell.toml"
+    shipped = BENCH_FILE.read_text()
+    head, _, rest = shipped.partition("[instruments.source_meter]")
+    cell.write_text(head + rest[rest.index("[instruments.load_cell]") :])
+    assert run_guarded(["station", "record", str(cell), "--to", str(path), "--json"]) == 0
+    document = json.loads(capsys.readouterr().out)
+    assert document["transcript"] == str(path)
+    together = next(line for line in document["results"] if line["name"] == "together")
+    assert together["outcome"] == "not done"
+    assert "frame_source, force_applicator" in together["said"]
+    assert any(line["name"] == "samples of force" and line["outcome"] == "ok" for line in document["results"])
+    cell.write_text(cell.read_text().replace('name = "bench-emulated"', 'name = "bench-9"'))
+    assert run_guarded(["station", "check", str(cell), "--replay", str(path), "--json"]) == 0
+    again = json.loads(capsys.readouterr().out)
+    assert again["check"] == "replay of cell.txt, recorded at station bench-emulated"
+    assert again["results"] == document["results"]
+    assert (
+        run_guarded(["run", "--station", str(cell), "--recipe", "golden-check", "--serial", "S-1", "--dry-run"]) == 2
+    )
+    assert "every run needs it" in capsys.readouterr().err
+
+
+def test_frames_of_the_ring_are_taken_before_there_is_a_head(monkeypatch, tmp_path):
+    """The ring of a bench without applicator and load cell reads as that of the whole bench."""
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    electrical = tmp_path / "electrical.toml"
+    shipped = BENCH_FILE.read_text()
+    electrical.write_text(shipped[: shipped.index("[instruments.applicator]")])
+    outcome = check_station(CheckRequest(str(electrical), ring_ohm=10000.0))
+    ring = {line.name: line for line in outcome.result.results if line.subject == RING}
+    assert outcome.exit_code == 0
+    assert abs(ring["gain error"].value) < 0.1  # exact: 0, and noise
+    assert ring["worst reading"].outcome is CheckOutcome.OK
+
+
+def test_a_station_whose_instruments_have_no_link_leaves_no_transcript(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    path = tmp_path / "none.txt"
+    assert run_guarded(["station", "record", "simulated", "--to", str(path)]) == 0
+    assert "none: no bytes passed between drivers and instruments" in capsys.readouterr().out
+    assert not path.exists()
+
+
+def test_a_replay_with_another_option_says_so_and_asks_nobody_to_lift_the_head(recorded, monkeypatch, capsys):
+    monkeypatch.setenv("CBSR_QA_VAR", str(recorded[0] / "unused"))
+    arguments = ["station", "check", "bench-emulated", "--no-ring", "--replay", str(recorded[1]), "--json"]
+    assert run_guarded(arguments) == 1
+    results = json.loads(capsys.readouterr().out)["results"]
+    failed = [line for line in results if line["outcome"] == "failed"]
+    assert failed
+    assert all("replay it with the options" in line["said"] + line["remedy"] for line in failed)
+    assert not any("lift the head" in line["remedy"] for line in failed)

@@ -12,9 +12,10 @@ from cbsr_qa.plugin.links.recorder import Recorder
 from cbsr_qa.plugin.links.replay import Replay, ReplayedLink
 from cbsr_qa.plugin.links.serial_link import SerialLink
 from cbsr_qa.plugin.links.taps import is_replaying, use_tap
-from cbsr_qa.plugin.links.transcript import Event, Transcript, escape, unescape
+from cbsr_qa.plugin.links.transcript import Event, Transcript, digest, end_line, escape, unescape
 from cbsr_qa.station.setup import configure
 from cbsr_qa.system.clock import VirtualClock
+from cbsr_qa.testing import replay_pairs
 
 
 @pytest.fixture(scope="module")
@@ -104,8 +105,11 @@ def test_what_was_said_is_answered_again_at_the_same_times_and_secrets_are_not_w
 
 def test_another_word_than_was_sent_is_named_with_its_line(recorded, station):
     link = Replay(Transcript.read(recorded[0]), station, VirtualClock()).connect("load_cell", Wire)
-    with pytest.raises(OSError, match=r"line \d+ of .*t\.txt sent '.*one.*', now 'M115.+' is sent"):
-        link.write(b"M115\n")
+    for _ in range(2):  # also later: its answers belong to other questions
+        with pytest.raises(InstrumentError, match=r"t\.txt: line \d+ has sent '.*one.*', now 'M115\\n' is sent"):
+            link.write(b"M115\n")
+    with pytest.raises(InstrumentError, match="M115"):
+        link.read(1)
 
 
 def test_a_serial_link_meets_a_replay_that_has_ended_as_a_link_that_is_down(recorded, station):
@@ -141,9 +145,13 @@ def test_a_failure_of_the_link_fails_again():
     ("change", "words"),
     [
         (lambda lines: lines[:-3], r"was cut off: line \d+ is not its end; .*|was cut off"),
-        (lambda lines: [line.replace(" > ", " < ") for line in lines], "was changed"),
+        (lambda lines: [line.replace(" > ", " < ") for line in lines], "states another SHA-256"),
+        (lambda lines: [*lines, "0.0 load_cell > x"], r"goes on after line \d+, its end"),
+        (lambda lines: ["cbsr-qa transcript 2", *lines[1:]], "is of format 2; this version reads 1"),
+        (lambda lines: ["\ufeff" + lines[0], *lines[1:]], "begins with a byte order mark"),
+        (lambda lines: [*lines[:3], lines[2], *lines[3:]], "line 4 names instrument 'load_cell' a second time"),
         (lambda lines: [*lines[:4], lines[5], lines[4], *lines[6:]], "was changed"),
-        (lambda lines: [*lines[:4], *lines[5:]], "was changed"),
+        (lambda lines: [*lines[:4], *lines[5:]], r"states \d+ events, and there are \d+"),
         (lambda lines: [*lines[:4], "1.0 load_cell ? x", *lines[5:]], r"line 5 is '1.0 load_cell \? x'"),
         (lambda lines: [*lines[:4], "1.0 load_cell > \\q", *lines[5:]], "is no escape"),
         (lambda lines: lines[1:], "does not begin with"),
@@ -153,9 +161,69 @@ def test_a_failure_of_the_link_fails_again():
 def test_a_file_that_is_not_whole_is_refused_and_says_where(recorded, tmp_path, change, words):
     lines = recorded[0].read_text().splitlines()
     path = tmp_path / "changed.txt"
-    path.write_text("".join(f"{line}\n" for line in change(lines)))
+    path.write_text("".join(f"{line}\n" for line in change(lines)), encoding="utf-8")
     with pytest.raises(RefusedError, match=words):
         Transcript.read(path)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("0.0 load_cell < x", r"line \d+ is at 0 s, before the line above it"),
+        ("9.0 meter < x", r"line \d+ is of 'meter', which is not among the instruments"),
+    ],
+)
+def test_events_out_of_order_or_of_no_instrument_are_refused_though_the_digest_fits(recorded, tmp_path, line, words):
+    *lines, end = recorded[0].read_text().splitlines()
+    lines.append(line)
+    path = tmp_path / "forged.txt"
+    path.write_text("".join(f"{one}\n" for one in [*lines, end_line(int(end.split()[1]) + 1, digest(lines))]))
+    with pytest.raises(RefusedError, match=words):
+        Transcript.read(path)
+
+
+def test_line_ends_of_another_system_change_nothing(recorded, tmp_path):
+    path = tmp_path / "crlf.txt"
+    path.write_bytes(recorded[0].read_bytes().replace(b"\n", b"\r\n"))
+    assert Transcript.read(path).events == Transcript.read(recorded[0]).events
+
+
+def test_a_link_that_failed_to_open_fails_to_open_again_and_goes_on_when_it_is_opened_once_more(station, tmp_path):
+    clock, path = VirtualClock(), tmp_path / "t.txt"
+    recorder = Recorder(path, station, clock)
+
+    def fail():
+        raise InstrumentError("load_cell", "/dev/ttyUSB7", "there is no port /dev/ttyUSB7")
+
+    with pytest.raises(InstrumentError):
+        recorder.connect("load_cell", fail)
+    for word in (b"one", b"two"):  # opened, closed, and opened again
+        recorder.connect("load_cell", Wire).write(word)
+    recorder.close()
+    replay = Replay(Transcript.read(path), station, VirtualClock())
+    with pytest.raises(InstrumentError, match=r"load_cell at .*t\.txt: there is no port /dev/ttyUSB7"):
+        replay.connect("load_cell", Wire)
+    for word in (b"one", b"two"):
+        link = replay.connect("load_cell", Wire)
+        link.write(word)
+        link.close()
+
+
+def test_a_recording_of_nothing_leaves_no_file(station, tmp_path):
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    recorder.close()
+    assert not (tmp_path / "t.txt").exists()
+
+
+def test_pairs_of_a_drivers_test_are_replayed_to_a_link_with_their_line_ends():
+    pairs = [(None, "ready"), ("VOLT?", b"1.5"), (b"OUTP 0", None)]
+    with replay_pairs("meter", pairs, VirtualClock()):
+        link = SerialLink("meter", "any", baud=9600, timeout_s=0.05)
+        assert link.read_line() == b"ready"
+        link.write(b"VOLT?\n")
+        assert link.read_line() == b"1.5"
+        with pytest.raises(InstrumentError, match=r"has sent 'OUTP 0\\n', now 'OUTP 1\\n'"):
+            link.write(b"OUTP 1\n")
 
 
 def test_a_file_of_other_bytes_or_none_is_refused(tmp_path):
@@ -168,7 +236,10 @@ def test_a_file_of_other_bytes_or_none_is_refused(tmp_path):
 
 def test_a_transcript_of_another_driver_or_without_the_instrument_is_refused(recorded, station):
     transcript = Transcript.read(recorded[0])
-    for drivers, words in (({"load_cell": "phidget-bridge"}, "with driver phidget-bridge"), ({}, "without it")):
+    for drivers, words in (
+        ({"load_cell": "phidget-bridge"}, "with driver phidget-bridge, at station 'simulated'"),
+        ({}, "without this instrument"),
+    ):
         with pytest.raises(RefusedError, match=words):
             Replay(replace(transcript, drivers=drivers), station, VirtualClock())
 
