@@ -104,22 +104,32 @@ def _describe_force(calibration: Calibration) -> Iterator[str]:
 
 def _describe_expanded(calibration: Calibration) -> Iterator[str]:
     """Yield the expanded uncertainty; without a load cell's certificate the newton itself comes from nowhere."""
-    from cbsr_qa.calibration.uncertainty.budget import evaluate_forces  # needed only where a certificate is stated
+    # needed only where a certificate is stated
+    from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
+    from cbsr_qa.domain.results.expanded_force import Result
 
     try:
-        expanded = evaluate_forces(calibration)
+        on_the_day, in_use = (
+            evaluate_forces(calibration, result=when) for when in (Result.ON_THE_DAY, Result.IN_USE)
+        )
     except CalibrationError as error:
         yield f"No expanded uncertainty is stated: {error.reason}."
         return
-    for force_N in dict.fromkeys(one.force_N for one in expanded):
-        worst = max((one for one in expanded if one.force_N == force_N), key=lambda one: one.U_N)
-        x_mm, y_mm = worst.place_mm
+    for force_N in dict.fromkeys(one.force_N for one in on_the_day):
+        day, use = (
+            max((one for one in expanded if one.force_N == force_N), key=lambda one: one.U_N)
+            for expanded in (on_the_day, in_use)
+        )
+        x_mm, y_mm = day.place_mm
         yield (
-            f"Expanded uncertainty of {force_N:.3g} N: at most U = {worst.U_N:#.2g} N (k = {worst.k:.2f}, 95 %), at"
-            f" ({x_mm:.3g}, {y_mm:.3g}) mm, mostly by {worst.components[0].name}."
+            f"Expanded uncertainty of {force_N:.3g} N: at most U = {day.U_N:#.2g} N (k = {day.k:.2f}, 95 %) on the"
+            f" day of calibration, at ({x_mm:.3g}, {y_mm:.3g}) mm, mostly by {day.components[0].name}; in use"
+            f" {use.U_N:#.2g} N (k = {use.k:.2f})."
         ).replace("-", "−")
-    if missing := ", ".join(expanded[0].not_stated):
-        yield f"Not stated, and not in U: {missing}."
+    without = (
+        f"{name} {', '.join(one[0].not_stated)}" for name, one in (("U without:", on_the_day), ("in use:", in_use))
+    )
+    yield f"{'; '.join(without)}."
 
 
 def _describe_settling(calibration: Calibration) -> Iterator[str]:

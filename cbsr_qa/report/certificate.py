@@ -1,8 +1,9 @@
 """The page of a calibration certificate: two sides of A4 in one self-contained HTML file."""
 
-from collections.abc import Iterator, Sequence
+from collections import Counter
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
-from itertools import groupby
+from itertools import chain, groupby
 from math import floor, inf, isfinite, log10
 from typing import Final
 
@@ -11,11 +12,11 @@ from markupsafe import Markup
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, CheckedLoad
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce, MonteCarlo
 from cbsr_qa.report.render import make_environment, read_style
 
 #: Most checked loads in the table: more do not fit on the page. Those nearest to their limit are shown.
-_MOST_LOADS: Final = 10
+_MOST_LOADS: Final = 8
 #: Most reductions of the range that are written out.
 _MOST_REDUCED: Final = 5
 #: Characters of the texts of any length on the first side, above which its letters are smaller.
@@ -45,8 +46,6 @@ _DECISIONS: Final = {
 }
 #: Degrees of freedom above which k is that of infinitely many, within 0.003.
 _MANY: Final = 999
-#: Degrees of freedom below which random numbers of an input scatter far more than normal ones.
-_FEW: Final = 5
 
 
 def render_certificate(certificate: Certificate, fingerprint: str) -> str:
@@ -66,7 +65,12 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
         standards=list(_standards(certificate)),
         dense=_count_long_texts(certificate) > _MOST_TEXT,
         forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
-        places=list(_places(certificate.forces)),
+        places=list(_places(certificate)),
+        in_use=describe_use(certificate),
+        missing=list_missing(certificate.forces),
+        missing_in_use=list_missing(certificate.forces_in_use),
+        missing_of_errors=list_missing([load.expanded for load in certificate.checked]),
+        checked=describe_checked(certificate),
         settling_s=format_value(certificate.forces[0].settling_s, 3),
         loads=[_load(load) for load in choose_loads(certificate.checked)],
         statement=state_conformity(certificate),
@@ -186,17 +190,7 @@ def list_remarks(certificate: Certificate) -> list[str]:
     """Return the remarks; the first says what was simulated."""
     simulated = "; ".join(certificate.identity.simulated)
     remarks = [f"Simulated: {simulated}." if simulated else "Nothing was simulated."]
-    missing = list(dict.fromkeys(name for force in certificate.forces for name in force.not_stated))
-    if missing:
-        remarks.append(f"Not in U, since nothing states them: {'; '.join(missing)}.")
-    if any(component.name == GAIN_DRIFT for force in certificate.forces for component in force.components):
-        remarks.append(f"U includes a drift of the readings' gains over {IN_USE_YEARS:g} year of use.")
-    remarks += _compare_with_random_numbers(certificate.forces)
-    if certificate.held_out > len(certificate.checked):
-        remarks.append(
-            f"The calibration was not learned from {certificate.held_out} loads; errors are stated of the"
-            f" {len(certificate.checked)} that were pressed alone, within its range."
-        )
+    remarks += _compare_with_random_numbers(certificate)
     reduced = certificate.reduced
     remarks += [f"{reason[:1].upper()}{reason[1:]}." for reason in reduced[:_MOST_REDUCED]]
     if len(reduced) > _MOST_REDUCED:
@@ -205,19 +199,55 @@ def list_remarks(certificate: Certificate) -> list[str]:
     return remarks
 
 
-def _compare_with_random_numbers(forces: Sequence[ExpandedForce]) -> Iterator[str]:
-    """Yield how far intervals by random numbers reach beyond U, where the law of propagation may not do."""
-    ratios = {force: force.monte_carlo.half_width / force.U_N for force in forces if force.monte_carlo is not None}
-    if not ratios:
-        return
-    worst = max(ratios, key=ratios.__getitem__)
-    assert worst.monte_carlo is not None
-    fewest = min(worst.components, key=lambda component: component.dof)
-    few = f", {fewest.name} has ν = {fewest.dof:.0f}" if fewest.dof < _FEW else ""
-    yield (
-        f"At {len(ratios)} of {len(forces)} forces U was compared with random numbers (JCGM 101:2008):"
-        f" half their interval of 95 % is at most {ratios[worst]:.2f} U, where {worst.monte_carlo.why}{few}."
-    )
+def describe_use(certificate: Certificate) -> str:
+    """Return what U in use has beyond that of the day of calibration."""
+    until = "" if certificate.valid_until is None else f", until {certificate.valid_until}"
+    names = {component.name for force in certificate.forces_in_use for component in force.components}
+    parts = [f"a drift of the readings' gains over {IN_USE_YEARS:g} year"] if GAIN_DRIFT in names else []
+    parts += ["the temperatures named above"] if "temperature" in names else []
+    return f"U in use is that of a later force{until}, with {' and '.join(parts) or 'nothing more'}."
+
+
+def list_missing(forces: Iterable[ExpandedForce]) -> list[str]:
+    """Return what U lacks, since nothing gives a number for it."""
+    return list(dict.fromkeys(name for force in forces for name in force.not_stated))
+
+
+def describe_checked(certificate: Certificate) -> str:
+    """Return how many held-out loads are checked, and what became of the others, in words."""
+    left_out = certificate.left_out
+    held_out = len(certificate.checked) + len(left_out)
+    parts = [f"{len(certificate.checked)} of {held_out} held-out loads are checked"]
+    outside = [load for load in left_out if not load.why]
+    errors = {load: load.error_N for load in outside if load.error_N is not None}
+    if outside:
+        parts.append(f"{len(outside)} lie outside the range, which ends at loads that calibrated or agreed")
+    if errors:
+        worst = max(errors, key=lambda load: abs(errors[load]))
+        at = f"at {worst.reference_N:.3g} N, {_place(worst.place_mm)} mm"
+        parts[-1] += f": largest error {errors[worst]:+.3g} N {at}".replace("-", "−")
+    if silent := len(outside) - len(errors):
+        parts.append(f"of {silent} of these the calibration tells no force")
+    for why, count in Counter(load.why for load in left_out if load.why).items():
+        parts.append(f"of {count} there is no error: {why}")
+    return f"{'; '.join(parts)}."
+
+
+def _compare_with_random_numbers(certificate: Certificate) -> Iterator[str]:
+    """Yield how far intervals by random numbers reach beyond U, and why the law of propagation may not do."""
+    checked = (load.expanded for load in certificate.checked)
+    forces = chain(certificate.forces, certificate.forces_in_use, checked)
+    compared: list[tuple[float, MonteCarlo]] = [
+        (force.U_N, force.monte_carlo) for force in forces if force.monte_carlo is not None
+    ]
+    if compared:
+        reasons = Counter(simulated.why for _, simulated in compared)
+        largest = max(simulated.half_width / U_N for U_N, simulated in compared)
+        yield (
+            f"U was compared with random numbers (JCGM 101:2008) where"
+            f" {'; where '.join(f'{why} ({count} of U)' for why, count in reasons.items())}:"
+            f" half their interval of 95 % is at most {largest:.2f} U."
+        )
 
 
 def _standards(certificate: Certificate) -> Iterator[tuple[str, str]]:
@@ -243,13 +273,14 @@ def _row(forces: Sequence[ExpandedForce]) -> list[ExpandedForce]:
     return [force for force in forces if force.place_mm == forces[0].place_mm]
 
 
-def _places(forces: Sequence[ExpandedForce]) -> Iterator[tuple[str, list[tuple[str, str, str]]]]:
-    """Yield place, and U, k and degrees of freedom of each of its forces."""
-    for place_mm, group in groupby(forces, key=lambda force: force.place_mm):
-        cells = [
-            (format_with_uncertainty(force.force_N, force.U_N)[1], f"{force.k:.2f}", format_dof(force.dof))
-            for force in group
-        ]
+def _places(certificate: Certificate) -> Iterator[tuple[str, list[str]]]:
+    """Yield place, and of each of its forces U, k and degrees of freedom on the day, and U and k in use."""
+    both = zip(certificate.forces, certificate.forces_in_use, strict=True)
+    for place_mm, group in groupby(both, key=lambda pair: pair[0].place_mm):
+        cells: list[str] = []
+        for day, use in group:
+            U_day, U_use = (format_with_uncertainty(one.force_N, one.U_N)[1] for one in (day, use))
+            cells += [U_day, f"{day.k:.2f}", format_dof(day.dof), U_use, f"{use.k:.2f}"]
         yield _place(place_mm), cells
 
 

@@ -11,7 +11,15 @@ from xml.etree.ElementTree import Element, SubElement
 
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
-from cbsr_qa.report.certificate import describe_rule, describe_traceability, list_remarks, state_conformity
+from cbsr_qa.report.certificate import (
+    describe_checked,
+    describe_rule,
+    describe_traceability,
+    describe_use,
+    list_missing,
+    list_remarks,
+    state_conformity,
+)
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"
@@ -163,7 +171,9 @@ def _add_results(result: Element, certificate: Certificate) -> None:
         _add_text(condition, "name", "Lowest and highest temperature")
         _add_quantity(_add(condition, "data"), "temperature", certificate.temperature_C, r"\degreecelsius")
     results = _add(result, "results")
-    _add_forces(results, certificate.forces)
+    _add_forces(results, "Expanded uncertainty of an indicated force", "", certificate.forces)
+    in_use = describe_use(certificate)
+    _add_forces(results, "Expanded uncertainty of an indicated force in use", in_use, certificate.forces_in_use)
     if certificate.checked:
         _add_checked(results, certificate)
 
@@ -190,8 +200,8 @@ def _add_equipment(equipment: Element, certificate: Certificate) -> None:
             _add_identifications(element, "manufacturer", [("serial number", instrument.serial.strip())])
 
 
-def _add_forces(results: Element, forces: Sequence[ExpandedForce]) -> None:
-    values = _add_list(results, "Expanded uncertainty of an indicated force", forces)
+def _add_forces(results: Element, name: str, description: str, forces: Sequence[ExpandedForce]) -> None:
+    values = _add_list(results, name, description, forces)
     quantity = _add_quantity(values, "force", [one.force_N for one in forces], r"\newton", forces)
     quantity.set("refType", "basic_measuredValue")
 
@@ -200,7 +210,8 @@ def _add_checked(results: Element, certificate: Certificate) -> None:
     """Add the loads that the calibration was not learned from: reference force, and error with its uncertainty."""
     loads = certificate.checked
     expanded = [load.expanded for load in loads]
-    values = _add_list(results, "Error at loads that the calibration was not learned from", expanded)
+    name = "Error at loads that the calibration was not learned from"
+    values = _add_list(results, name, describe_checked(certificate), expanded)
     reference = _add_quantity(values, "reference force", [load.reference_N for load in loads], r"\newton")
     reference.set("refType", "basic_referenceValue")
     error = _add_quantity(
@@ -213,10 +224,12 @@ def _add_checked(results: Element, certificate: Certificate) -> None:
         _add(metadata, "conformityXMLList", " ".join(load.outcome for load in loads))
 
 
-def _add_list(results: Element, name: str, forces: Sequence[ExpandedForce]) -> Element:
+def _add_list(results: Element, name: str, description: str, forces: Sequence[ExpandedForce]) -> Element:
     """Add a result with the places of its values; return its list."""
     result = _add(results, "result")
     _add_text(result, "name", name)
+    if description:
+        _add_text(result, "description", description)
     values = _add(_add(result, "data"), "list")
     for axis, label in enumerate(("place x", "place y")):
         _add_quantity(values, label, [force.place_mm[axis] for force in forces], r"\milli\metre")
@@ -231,7 +244,9 @@ def _add_quantity(
     _add_text(quantity, "name", name)
     if expanded:
         dof = " ".join(f"{one.dof:.4g}" if isfinite(one.dof) else "infinite" for one in expanded)
-        _add_text(quantity, "description", f"Effective degrees of freedom, in the order of the values: {dof}")
+        missing = ", ".join(list_missing(expanded))
+        lacks = f"Expanded uncertainty without: {missing}. " if missing else ""
+        _add_text(quantity, "description", f"{lacks}Effective degrees of freedom, in the order of the values: {dof}")
     numbers = SubElement(quantity, f"{{{SI}}}realListXMLList")
     SubElement(numbers, f"{{{SI}}}valueXMLList").text = " ".join(map(repr, map(float, values)))
     SubElement(numbers, f"{{{SI}}}unitXMLList").text = unit

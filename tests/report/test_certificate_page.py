@@ -8,10 +8,11 @@ from html.parser import HTMLParser
 import pytest
 from certificates import HOSTILE, certificate, checked_load, expanded_force, largest_certificate, settings
 
-from cbsr_qa.domain.results.certificate import Customer, Replacement
+from cbsr_qa.domain.results.certificate import Customer, LeftOutLoad, Replacement
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, MonteCarlo
 from cbsr_qa.report.certificate import (
     choose_loads,
+    describe_checked,
     describe_rule,
     describe_traceability,
     format_with_uncertainty,
@@ -106,25 +107,48 @@ def test_the_first_remark_says_what_was_simulated():
 
 
 def test_inputs_that_nothing_states_are_named():
-    forces = (expanded_force(not_stated=["drift of the load cell"]), expanded_force(not_stated=["temperature"]))
-    assert list_remarks(certificate(forces=forces))[1] == (
-        "Not in U, since nothing states them: drift of the load cell; temperature."
+    forces = (expanded_force(not_stated=["drift of the load cell"]), expanded_force())
+    in_use = (expanded_force(not_stated=["drift of the load cell", "temperature"]), expanded_force())
+    errors = (checked_load(not_stated=["scatter of the load cell"]),)
+    text = text_of(render_certificate(certificate(forces=forces, forces_in_use=in_use, checked=errors), ""))
+    results, _, checked = text.partition("Results: errors at loads")
+    assert "U without: drift of the load cell; in use also without: temperature." in results
+    assert "U is that of the error, without: scatter of the load cell ." in checked
+    alike = certificate(forces=forces, forces_in_use=in_use, checked=(checked_load(not_stated=forces[0].not_stated),))
+    assert "U is that of the error, without: the same ." in text_of(render_certificate(alike, ""))
+
+
+def test_both_uncertainties_of_a_force_are_told_apart():
+    forces, drifting = (expanded_force(u_N=0.05),), (expanded_force(u_N=0.07, name=GAIN_DRIFT),)
+    page = render_certificate(certificate(forces=forces, forces_in_use=drifting), "")
+    assert "<td>0.10</td><td>2.07</td><td>23</td><td>0.14</td><td>2.07</td>" in page
+    assert (
+        "U in use is that of a later force, until 2027-11-21, with a drift of the readings' gains over 1 year."
+        in (text_of(page))
     )
+    assert "drift of the readings" not in render_certificate(certificate(), "")
 
 
-def test_loads_that_were_not_checked_and_drift_in_use_are_remarked():
-    remarks = list_remarks(certificate(held_out=5, forces=(expanded_force(name=GAIN_DRIFT),)))
-    assert "U includes a drift of the readings' gains over 1 year of use." in remarks
-    assert any("was not learned from 5 loads; errors are stated of the 2" in remark for remark in remarks)
-    plain = " ".join(list_remarks(certificate()))
-    assert "drift of the readings" not in plain
-    assert "was not learned from" not in plain
+def test_no_load_that_was_held_out_disappears():
+    outside = [LeftOutLoad("random loads", (30.0, -1.0), "", 5.2, told_N) for told_N in (4.9, 5.3, None)]
+    silent = LeftOutLoad("random loads", (0.0, 0.0), "no force was recorded")
+    said = describe_checked(certificate(left_out=(*outside, silent)))
+    assert said == (
+        "2 of 6 held-out loads are checked; 3 lie outside the range, which ends at loads that calibrated or agreed:"
+        " largest error −0.3 N at 5.2 N, (30.0, −1.0) mm; of 1 of these the calibration tells no force; of 1 there is"
+        " no error: no force was recorded."
+    )
+    assert said in text_of(render_certificate(certificate(left_out=(*outside, silent)), ""))
+    assert describe_checked(certificate()) == "2 of 2 held-out loads are checked."
 
 
-def test_an_interval_by_random_numbers_says_why_it_is_wider():
-    wide = replace(expanded_force(dof=1.0), monte_carlo=MonteCarlo(1000, 1.7, 2.3, "x is rectangular"))
-    (remark,) = [one for one in list_remarks(certificate(forces=(wide,))) if "JCGM 101" in one]
-    assert "at most 2.90 U, where x is rectangular, load cell has ν = 1." in remark
+def test_an_interval_by_random_numbers_says_why_it_was_made():
+    wide = replace(expanded_force(), monte_carlo=MonteCarlo(1000, 1.7, 2.3, "x is rectangular"))
+    bent = replace(expanded_force(), monte_carlo=MonteCarlo(1000, 1.9, 2.1, "it bends"))
+    made = certificate(forces=(wide, wide), forces_in_use=(bent, bent))
+    (remark,) = [one for one in list_remarks(made) if "JCGM 101" in one]
+    assert "where x is rectangular (2 of U); where it bends (2 of U): half" in remark
+    assert "at most 2.90 U." in remark
 
 
 def test_names_with_markup_are_text():
@@ -203,7 +227,7 @@ def test_simple_acceptance_is_named():
 
 def test_the_loads_nearest_to_their_limit_are_listed_in_order():
     loads = [checked_load(0.01 * n, 2.0) for n in range(20)]
-    assert choose_loads(loads) == loads[10:]
+    assert choose_loads(loads) == loads[12:]
 
 
 @pytest.fixture(scope="module")

@@ -8,7 +8,7 @@ from stored_runs import identity
 
 from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.plan.standards import ReferenceStandard, StandardRole
-from cbsr_qa.domain.results.certificate import Certificate, CheckedLoad, Customer, Replacement
+from cbsr_qa.domain.results.certificate import Certificate, CheckedLoad, Customer, LeftOutLoad, Replacement
 from cbsr_qa.domain.results.expanded_force import Budget, BudgetComponent, ExpandedForce
 from cbsr_qa.stats.conformity import decide_error
 
@@ -86,8 +86,13 @@ def certificate(**changes):
             for place in places
             for force_N in (1.4, 2.75, 4.1)
         ),
+        "forces_in_use": tuple(
+            expanded_force(place, force_N, 0.04 + 0.01 * force_N, not_stated=("ageing of the sensor",))
+            for place in places
+            for force_N in (1.4, 2.75, 4.1)
+        ),
         "checked": (checked_load(0.03), checked_load(-0.05, 3.5)),
-        "held_out": 2,
+        "left_out": (),
         "reduced": ("all loads were pressed at one strain",),
         "valid_until": date(2027, 11, 21),
         "replaced": None,
@@ -115,6 +120,10 @@ def largest_certificate():
             certificate().identity, simulated=simulated, instruments=4 * certificate().identity.instruments
         ),
         forces=tuple(forces),
+        forces_in_use=tuple(forces),
+        left_out=tuple(
+            LeftOutLoad("random loads", (30.0, 0.0), why, 5.2, 4.9) for why in ("", "no force was recorded")
+        ),
         checked=tuple(checked_load(0.02 * n, 1.5 + 0.1 * n) for n in range(25)),
         reduced=tuple(
             f"reason number {n} why the range is smaller than the recipe intended, in words" for n in range(9)

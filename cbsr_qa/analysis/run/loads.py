@@ -162,14 +162,19 @@ def mean_force(
     samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord
 ) -> tuple[float | None, float | None]:
     """Return the load cell's mean over the steady frames, and its standard error [N]; None without samples."""
+    held_N = select_forces(samples, steady, record)
+    if not len(held_N):
+        return None, None
+    spread = float(np.std(held_N, ddof=1)) if len(held_N) > 1 else 0.0
+    return float(held_N.mean()), spread / len(held_N) ** 0.5
+
+
+def select_forces(samples: SampleBlock | None, steady: FrameBlock, record: LoadRecord) -> Array:
+    """Return the load cell's samples (n,) over the steady frames of a press, to the end of its hold [N]."""
     if samples is None:
-        return None, None
+        return np.zeros(0)
     half_frame = float(np.median(np.diff(steady.time_s))) / 2 if len(steady) > 1 else 0.0
-    held_samples = samples.select_interval(float(steady.time_s[0]) - half_frame, record.release_start_s)
-    if not len(held_samples):
-        return None, None
-    spread = float(np.std(held_samples.values, ddof=1)) if len(held_samples) > 1 else 0.0
-    return float(held_samples.values.mean()), spread / len(held_samples) ** 0.5
+    return samples.select_interval(float(steady.time_s[0]) - half_frame, record.release_start_s).values
 
 
 def _is_settled(load: LoadObservation, window: LoadWindow, settings: AnalysisSettings) -> bool | None:

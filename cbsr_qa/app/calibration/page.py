@@ -147,15 +147,27 @@ def _tabulate_expanded_forces(forces: tuple[ShownExpandedForce, ...]) -> Table:
             "∞" if one.dof is None or one.dof > _MANY else str(floor(one.dof)),  # as k is (JCGM 100, G.6.4)
             f"{one.k:.2f}",
             f"{one.U_N:#.2g}",
-            "" if one.monte_carlo_N is None else "{:.3g} to {:.3g}".format(*one.monte_carlo_N),
+            f"{one.in_use.U_N:#.2g}",
+            "; ".join(_describe_random_numbers(one)),
             max(one.components_N, key=lambda name: one.components_N[name]),
         )
         for one in forces
     ]
-    columns = ("x [mm]", "y [mm]", "force [N]", "u [N]", "dof", "k", "U [N]", "by random numbers [N]", "mostly by")
-    missing = ", ".join(forces[0].not_stated) or "nothing"
-    caption = f"For 95 %, of one settled load at a known place. Not stated, and not in U: {missing}."
-    return text_table(caption, columns, rows, tuple(range(7)))
+    columns = ("x [mm]", "y [mm]", "force [N]", "u [N]", "dof", "k", "U [N]", "U in use [N]")
+    missing, missing_in_use = (", ".join(one.not_stated) or "nothing" for one in (forces[0], forces[0].in_use))
+    caption = (
+        "For 95 %, of one settled load at a known place; u, dof, k and U on the day of calibration."
+        f" U without: {missing}. U in use without: {missing_in_use}."
+    )
+    return text_table(caption, (*columns, "by random numbers [N]", "mostly by"), rows, tuple(range(8)))
+
+
+def _describe_random_numbers(force: ShownExpandedForce) -> Iterator[str]:
+    """Yield intervals by random numbers, and why there are any."""
+    for when, one in (("", force), ("in use ", force.in_use)):
+        if one.monte_carlo_N is not None:
+            low_N, high_N = one.monte_carlo_N
+            yield f"{when}{low_N:.3g} to {high_N:.3g}: {one.monte_carlo_why}"
 
 
 def _settling(summaries: tuple[Settling, ...]) -> Table:

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from math import isfinite
 from pathlib import Path
-from typing import Final, Self
+from typing import Any, Final, Self
 
 import numpy as np
 
@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.calibration import (
     SettlingSummary,
     VerifiedFile,
 )
-from cbsr_qa.domain.results.expanded_force import ExpandedForce
+from cbsr_qa.domain.results.expanded_force import ExpandedForce, Result
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: Largest number of values of an array that is shown.
@@ -193,19 +193,18 @@ class ShownForceModel:
 
 
 @dataclass(frozen=True, slots=True)
-class ShownExpandedForce:
-    """A force with its expanded uncertainty; see :class:`~cbsr_qa.domain.results.expanded_force.ExpandedForce`.
+class ShownUncertainty:
+    """An expanded uncertainty; see :class:`~cbsr_qa.domain.results.expanded_force.ExpandedForce`.
 
     Parameters
     ----------
     dof : effective degrees of freedom; None if infinite.
     components_N : standard uncertainty of each input.
-    monte_carlo_N : interval of 95 % by random numbers where the model bends; else None.
+    not_stated : inputs that nothing gives a number for, which U lacks.
+    monte_carlo_N, monte_carlo_why : interval of 95 % by random numbers where the law of propagation may not do, and
+        why not; else None and empty.
     """
 
-    place_mm: tuple[float, float]
-    force_N: float
-    settling_s: float
     standard_uncertainty_N: float
     dof: float | None
     k: float
@@ -213,9 +212,10 @@ class ShownExpandedForce:
     components_N: dict[str, float]
     not_stated: tuple[str, ...]
     monte_carlo_N: tuple[float, float] | None
+    monte_carlo_why: str
 
     @classmethod
-    def from_force(cls, expanded: ExpandedForce) -> Self:
+    def from_force(cls, expanded: ExpandedForce, **others: Any) -> Self:
         simulated = expanded.monte_carlo
         return fill_from_object(
             cls,
@@ -223,7 +223,19 @@ class ShownExpandedForce:
             dof=expanded.dof if isfinite(expanded.dof) else None,
             components_N={part.name: part.standard_uncertainty for part in expanded.components},
             monte_carlo_N=None if simulated is None else (simulated.low, simulated.high),
+            monte_carlo_why="" if simulated is None else simulated.why,
+            **others,
         )
+
+
+@dataclass(frozen=True, slots=True)
+class ShownExpandedForce(ShownUncertainty):
+    """A force with its expanded uncertainty on the day of calibration, and in use."""
+
+    place_mm: tuple[float, float]
+    force_N: float
+    settling_s: float
+    in_use: ShownUncertainty
 
 
 @dataclass(frozen=True, slots=True)
@@ -286,13 +298,17 @@ class ShownCalibration:
             no_force_model=None if held.force else held.no_force,
             force_error=describe_force_error(held.standards),
             standards=held.standards,
-            expanded_forces=tuple(map(ShownExpandedForce.from_force, _expand_forces(held))),
+            expanded_forces=_expand_forces(held),
         )
 
 
-def _expand_forces(held: Calibration) -> tuple[ExpandedForce, ...]:
+def _expand_forces(held: Calibration) -> tuple[ShownExpandedForce, ...]:
     """Return forces over the range; none where no uncertainty can be stated."""
     try:
-        return evaluate_forces(held)
+        on_the_day, in_use = (evaluate_forces(held, result=when) for when in (Result.ON_THE_DAY, Result.IN_USE))
     except CalibrationError:  # the abilities say why
         return ()
+    return tuple(
+        ShownExpandedForce.from_force(day, in_use=ShownUncertainty.from_force(use))
+        for day, use in zip(on_the_day, in_use, strict=True)
+    )

@@ -6,14 +6,16 @@ from math import hypot, isfinite
 from typing import Final
 
 from cbsr_qa.analysis.defects.load_cell import describe_cell_limit
-from cbsr_qa.analysis.run.loads import list_neighbours, load_window, mean_force
+from cbsr_qa.analysis.run.loads import list_neighbours, load_window, mean_force, select_forces
 from cbsr_qa.calibration.runtime.calibration import Calibration
-from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
+from cbsr_qa.calibration.uncertainty.budget import ReferencePress, evaluate_errors
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.plan.plan import CertificateSettings, Recipe
 from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.loads import LoadRecord
-from cbsr_qa.domain.results.certificate import CheckedLoad
+from cbsr_qa.domain.results.calibration import Validity
+from cbsr_qa.domain.results.certificate import CheckedLoad, LeftOutLoad
+from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 from cbsr_qa.stats.conformity import decide_error
 
@@ -24,15 +26,14 @@ _ROLES: Final = (Role.GRID, Role.RANDOM)
 @dataclass(frozen=True, slots=True)
 class _Reading:
     phase: str
-    place_mm: tuple[float, float]
-    reference_N: float
+    press: ReferencePress
     indicated_N: float
 
 
 def check_loads(
     record: RunRecord, recipe: Recipe, calibration: Calibration, settings: CertificateSettings | None
-) -> tuple[CheckedLoad, ...]:
-    """Return the held-out loads within the calibration's range, judged by the laboratory's requirement, if any.
+) -> tuple[tuple[CheckedLoad, ...], tuple[LeftOutLoad, ...]]:
+    """Return the held-out loads: those within the stated range, judged by the laboratory's requirement, and the rest.
 
     All of them count, whether or not the calibration agrees with them.
 
@@ -43,67 +44,75 @@ def check_loads(
     Raises
     ------
     CalibrationError
-        If the uncertainty of a force cannot be evaluated, or the calibration tells none of such a load.
+        If the uncertainty of an error cannot be evaluated, or the calibration tells no force of a load within its
+        range.
     """
-    return tuple(
-        _judge_load(reading, calibration, settings)
-        for phase in list_held_out(record, recipe)
-        for reading in _read_loads(phase, record, recipe, calibration)
-    )
-
-
-def list_held_out(record: RunRecord, recipe: Recipe) -> list[PhaseRecord]:
-    """Return the phases with loads all over the sheet that the calibration was not learned from."""
-    return [phase for phase in record.phases if phase.role in _ROLES and phase.name not in recipe.calibrate_phases]
+    readings: list[_Reading] = []
+    left_out: list[LeftOutLoad] = []
+    for phase in record.phases:
+        if phase.role not in _ROLES or phase.name in recipe.calibrate_phases:
+            continue
+        for read in _read_loads(phase, record, recipe, calibration):
+            if isinstance(read, LeftOutLoad):
+                left_out.append(read)
+            else:
+                readings.append(read)
+    errors = evaluate_errors(calibration.issued, [reading.press for reading in readings])
+    judged = (_judge_load(reading, error, settings) for reading, error in zip(readings, errors, strict=True))
+    return tuple(judged), tuple(left_out)
 
 
 def _read_loads(
     phase: PhaseRecord, record: RunRecord, recipe: Recipe, calibration: Calibration
-) -> Iterator[_Reading]:
-    """Yield loads that were pressed alone, with their force recorded, within the calibration's range."""
-    validity = calibration.issued.validity
-    assert validity.force_N is not None
-    lowest_N, highest_N = validity.force_N
+) -> Iterator[_Reading | LeftOutLoad]:
+    """Yield each load as the load cell and the sensor read it, or why it is not checked."""
     for load in phase.loads:
         window = load_window(phase, load, recipe.analysis)
         last = window.steady.select(slice(len(window.steady) - 1, None))  # U is that of one frame
-        samples = phase.channel("force")
-        reference_N, _ = mean_force(samples, last, load)
-        if reference_N is None or describe_cell_limit(samples, load) or _has_neighbours(phase, load, record):
+        samples, place_mm = phase.channel("force"), (load.load.x_mm, load.load.y_mm)
+        reference_N, stderr_N = mean_force(samples, last, load)
+        why = describe_cell_limit(samples, load)
+        if reference_N is None or stderr_N is None:
+            why = "no force was recorded"
+        elif _has_neighbours(phase, load, record):
+            why = "it was pressed together with others"
+        if why or reference_N is None or stderr_N is None:
+            yield LeftOutLoad(phase.name, place_mm, why)
             continue
-        place_mm = load.load.x_mm, load.load.y_mm
-        if not (lowest_N <= reference_N <= highest_N and hypot(*place_mm) <= validity.radius_mm):
+        (told_N,) = calibration.force(last.voltages, place_mm=place_mm).force_N.tolist()
+        if not _is_within(calibration.issued.validity, reference_N, place_mm):
+            yield LeftOutLoad(phase.name, place_mm, "", reference_N, told_N if isfinite(told_N) else None)
             continue
-        (indicated_N,) = calibration.force(last.voltages, place_mm=place_mm).force_N.tolist()
-        if not isfinite(indicated_N):
+        if not isfinite(told_N):
             raise CalibrationError(
                 f"the calibration tells no force of load {load.load.label} of phase {phase.name!r}, within its range"
             )
-        yield _Reading(phase.name, place_mm, reference_N, indicated_N)
+        settling_s = float(last.time_s[0]) - load.hold_start_s
+        count = len(select_forces(samples, last, load))
+        yield _Reading(phase.name, ReferencePress(place_mm, settling_s, reference_N, stderr_N, count), told_N)
+
+
+def _is_within(validity: Validity, force_N: float, place_mm: tuple[float, float]) -> bool:
+    assert validity.force_N is not None
+    lowest_N, highest_N = validity.force_N
+    return lowest_N <= force_N <= highest_N and hypot(*place_mm) <= validity.radius_mm
 
 
 def _has_neighbours(phase: PhaseRecord, load: LoadRecord, record: RunRecord) -> bool:
     return bool(list_neighbours(record.indenter, phase, load, load.release_start_s - 1e-6))
 
 
-def _judge_load(reading: _Reading, calibration: Calibration, settings: CertificateSettings | None) -> CheckedLoad:
-    (expanded,) = evaluate_forces(calibration.issued, [reading.reference_N], [reading.place_mm])
+def _judge_load(reading: _Reading, error: ExpandedForce, settings: CertificateSettings | None) -> CheckedLoad:
+    reference_N, indicated_N = reading.press.force_N, reading.indicated_N
     if settings is None or not settings.judges:
-        return CheckedLoad(reading.phase, reading.reference_N, reading.indicated_N, expanded)
-    maximum_N = settings.max_error_of(reading.reference_N)
+        return CheckedLoad(reading.phase, reference_N, indicated_N, error)
+    maximum_N = settings.max_error_of(reference_N)
     decision = decide_error(
-        reading.indicated_N - reading.reference_N,
+        indicated_N - reference_N,
         maximum_N,
-        expanded.U_N if settings.decision == "guarded" else 0.0,
-        expanded.standard_uncertainty_N,
-        expanded.dof,
+        error.U_N if settings.decision == "guarded" else 0.0,
+        error.standard_uncertainty_N,
+        error.dof,
     )
-    return CheckedLoad(
-        reading.phase,
-        reading.reference_N,
-        reading.indicated_N,
-        expanded,
-        maximum_N,
-        str(decision.outcome),
-        decision.conformance,
-    )
+    outcome, conformance = str(decision.outcome), decision.conformance
+    return CheckedLoad(reading.phase, reference_N, indicated_N, error, maximum_N, outcome, conformance)

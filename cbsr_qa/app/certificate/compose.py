@@ -10,7 +10,7 @@ from math import dist, hypot
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.app.certificate.checked_loads import check_loads, list_held_out
+from cbsr_qa.app.certificate.checked_loads import check_loads
 from cbsr_qa.app.certificate.request import CertificateRequest, choose_settings
 from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.calibration.file.hdf5 import calibration_of
@@ -23,7 +23,7 @@ from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.plan.standards import find_doubtful_dates
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce, Result
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
@@ -81,9 +81,12 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
             f"run {run} is not certified: its validity of {settings.validity_months} months ended on {valid_until}",
             remedy="test the sensor again",
         )
-    forces = evaluate_forces(issued, None, choose_places(issued))
-    _check_validity(run, settings, forces)
+    places_mm = choose_places(issued)
+    forces = evaluate_forces(issued, None, places_mm, result=Result.ON_THE_DAY)
+    in_use = evaluate_forces(issued, None, places_mm, result=Result.IN_USE)
+    _check_validity(run, settings, in_use)
     judged_by = settings if is_reference_known(record.identity, issued.standards) else None
+    checked, left_out = check_loads(record, recipe, Calibration(issued), judged_by)
     certificate = Certificate(
         number=number_certificate(settings.prefix, run, store.certificates.count(run)),
         issued_at=now,
@@ -102,8 +105,9 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         radius_mm=issued.validity.radius_mm,
         standards=issued.standards,
         forces=forces,
-        checked=check_loads(record, recipe, Calibration(issued), judged_by),
-        held_out=sum(len(phase.loads) for phase in list_held_out(record, recipe)),
+        forces_in_use=in_use,
+        checked=checked,
+        left_out=left_out,
         reduced=issued.validity.reduced,
         valid_until=valid_until,
         replaced=_find_replaced(store, request),

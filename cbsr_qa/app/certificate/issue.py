@@ -20,6 +20,7 @@ from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.standards import StandardRole
 from cbsr_qa.domain.results.certificate import Certificate
 from cbsr_qa.domain.results.certificate_records import IssuedCertificate
+from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.report import CommandOutcome
 from cbsr_qa.domain.results.signature import fingerprint
@@ -38,13 +39,24 @@ _NOT_SIGNED = (
 
 @dataclass(frozen=True, slots=True)
 class CertifiedForce:
-    """A force at a place with its expanded uncertainty; ``dof`` is None where the degrees of freedom are infinite."""
+    """A force at a place with its expanded uncertainty on the day of calibration, and in use.
+
+    Parameters
+    ----------
+    dof, dof_in_use : effective degrees of freedom; None if infinite.
+    not_stated, not_stated_in_use : inputs that nothing gives a number for, which U lacks.
+    """
 
     place_mm: tuple[float, float]
     force_N: float
     U_N: float
     k: float
     dof: float | None
+    not_stated: tuple[str, ...]
+    U_in_use_N: float
+    k_in_use: float
+    dof_in_use: float | None
+    not_stated_in_use: tuple[str, ...]
 
 
 @dataclass(frozen=True, slots=True)
@@ -218,10 +230,11 @@ def _render(composed: Composed, key: SigningKey | None, now: datetime) -> Issued
 
 
 def _list_forces(certificate: Certificate) -> tuple[CertifiedForce, ...]:
-    return tuple(
-        CertifiedForce(one.place_mm, one.force_N, one.U_N, one.k, one.dof if isfinite(one.dof) else None)
-        for one in certificate.forces
-    )
+    def describe(one: ExpandedForce) -> tuple[float, float, float | None, tuple[str, ...]]:
+        return one.U_N, one.k, one.dof if isfinite(one.dof) else None, one.not_stated
+
+    both = zip(certificate.forces, certificate.forces_in_use, strict=True)
+    return tuple(CertifiedForce(day.place_mm, day.force_N, *describe(day), *describe(use)) for day, use in both)
 
 
 def _list_standards(certificate: Certificate) -> list[CertifiedStandard]:

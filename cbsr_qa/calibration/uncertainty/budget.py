@@ -1,21 +1,23 @@
 """Budgets of forces that a calibrated sensor tells (JCGM 100)."""
 
 from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
 from math import hypot, inf, sqrt
 from typing import Final
 
 from cbsr_qa.calibration.force.inverse import NO_FORCE, Flag, Forces
 from cbsr_qa.calibration.uncertainty.combination import combine
-from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoints
+from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoint, ForcePoints
 from cbsr_qa.calibration.uncertainty.inputs import ForceInput, ForceInputs
 from cbsr_qa.calibration.uncertainty.monte_carlo import simulate_force
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.results.expanded_force import ExpandedForce
+from cbsr_qa.domain.results.expanded_force import ExpandedForce, Result
 
 Place = tuple[float, float]
 _ROUNDING_MM: Final = 1e-6
+_CELL_SCATTER: Final = "scatter of the load cell"
 #: Forces with one of these flags are beyond what was calibrated, or no force of one load.
 _NO_CLAIM: Final = NO_FORCE | int(
     Flag.NOT_DETECTED | Flag.OUTSIDE | Flag.BELOW_RANGE | Flag.ABOVE_RANGE | Flag.WRONG_SIGN | Flag.OTHER_HEAD
@@ -28,6 +30,7 @@ def evaluate_forces(
     places_mm: Sequence[Place] | None = None,
     *,
     settling_s: float | None = None,
+    result: Result = Result.IN_USE,
 ) -> tuple[ExpandedForce, ...]:
     """Evaluate the uncertainty of forces of single settled loads, by places and then by forces.
 
@@ -39,6 +42,7 @@ def evaluate_forces(
     forces_N : stated forces; None: least, middle and greatest of the calibrated range.
     places_mm : stated places; None: places of the loads that the calibration was learned from.
     settling_s : time after a press's ramp; None: the calibrated hold.
+    result : force on the day of calibration, or in use.
 
     Raises
     ------
@@ -50,26 +54,68 @@ def evaluate_forces(
     hold_s = points.model.steady_s if settling_s is None else settling_s
     stated_N = list_forces(calibration) if forces_N is None else tuple(forces_N)
     stated_mm = list_places(calibration) if places_mm is None else tuple(places_mm)
-    for problem in _find_problems(calibration, stated_N, stated_mm, hold_s):
+    if not hold_s >= 0:
+        raise CalibrationError(f"a settling time of {hold_s} s is negative", remedy="state one of at least 0 s")
+    for problem in _find_problems(calibration, stated_N, stated_mm):
         raise CalibrationError(problem, remedy="state what was calibrated, or calibrate again with what covers it")
     listing = ForceInputs(calibration, points.model, hold_s)
+    grid = [points.at(force_N, place_mm) for place_mm in stated_mm for force_N in stated_N]
+    return tuple(_expand(point, *listing.list_at(point, result), hold_s) for point in grid)
+
+
+@dataclass(frozen=True, slots=True)
+class ReferencePress:
+    """What a load cell read of one press that was not learned from.
+
+    Parameters
+    ----------
+    place_mm, settling_s : stated place, and time of the frame after the press's ramp.
+    force_N, stderr_N, samples : mean of the samples, its standard error, and their number.
+    """
+
+    place_mm: Place
+    settling_s: float
+    force_N: float
+    stderr_N: float
+    samples: int
+
+
+def evaluate_errors(calibration: Calibration, presses: Sequence[ReferencePress]) -> tuple[ExpandedForce, ...]:
+    """Evaluate the uncertainty of the error that each press shows: indicated, by one frame, less reference force.
+
+    CalibrationError as for :func:`evaluate_forces`.
+    """
+    points = ForcePoints(calibration)
+    for problem in _find_problems(calibration, [one.force_N for one in presses], [one.place_mm for one in presses]):
+        raise CalibrationError(problem, remedy="calibrate again with what covers it")
     expanded = []
-    for place_mm in stated_mm:
-        for force_N in stated_N:
-            point = points.at(force_N, place_mm)
-            inputs, not_stated = listing.list_at(point)
-            budget = combine([item.as_input(point) for item in inputs], not_stated=not_stated)
-            simulated = simulate_force(point, inputs, budget)
-            expanded.append(ExpandedForce(place_mm, force_N, hold_s, budget, simulated))
+    for press in presses:
+        point = points.at(press.force_N, press.place_mm)
+        listing = ForceInputs(calibration, points.model, press.settling_s)
+        inputs, not_stated = listing.list_at(point, Result.ERROR)
+        if press.samples < 2:
+            not_stated.append(_CELL_SCATTER)
+        else:
+            source, dof = f"{press.samples} samples of this press", float(press.samples - 1)
+            inputs.append(ForceInput(_CELL_SCATTER, "A", Entry.NEWTON, press.stderr_N, source, dof=dof))
+        expanded.append(_expand(point, inputs, not_stated, press.settling_s))
     return tuple(expanded)
+
+
+def _expand(
+    point: ForcePoint, inputs: Sequence[ForceInput], not_stated: Sequence[str], settling_s: float
+) -> ExpandedForce:
+    budget = combine([item.as_input(point) for item in inputs], not_stated=not_stated)
+    return ExpandedForce(point.place_mm, point.force_N, settling_s, budget, simulate_force(point, inputs, budget))
 
 
 def expand_forces(calibration: Calibration, forces: Forces) -> tuple[ExpandedForce | None, ...]:
     """Return the uncertainty of each force that frames told, at the place where it was found.
 
-    What ``stderr_N`` of a frame has beyond a known place (the error of its place, other heads, readings left out) is
-    one more input. None for frames without a load, for what is flagged as outside the calibrated range, and for
-    forces that the load cell's certificate does not cover. CalibrationError without a force model.
+    It is that of a force in use. What ``stderr_N`` of a frame has beyond a known place (the error of its place, other
+    heads, readings left out) is one more input. None for frames without a load, for what is flagged as outside the
+    calibrated range, and for forces that the load cell's certificate does not cover. CalibrationError without a force
+    model.
     """
     points = ForcePoints(calibration)
     listing = ForceInputs(calibration, points.model, points.model.steady_s)
@@ -81,14 +127,12 @@ def expand_forces(calibration: Calibration, forces: Forces) -> tuple[ExpandedFor
             continue
         x_mm, y_mm = forces.place_mm[frame].tolist()
         point = points.at(force_N, (x_mm, y_mm))
-        inputs, not_stated = listing.list_at(point)
-        known = sum(item.as_input(point).contribution ** 2 for item in inputs if item.in_runtime)
+        inputs, not_stated = listing.list_at(point, Result.IN_USE)
+        known = sum((item.as_input(point).contribution / item.widened) ** 2 for item in inputs if item.in_runtime)
         scatter = forces.stderr_N[frame] ** 2 - forces.shared_stderr_N[frame] ** 2
         beyond_N = sqrt(max(float(scatter) - known, 0.0))
         inputs.append(ForceInput("place found in the frame", "A", Entry.NEWTON, beyond_N, "the frame's own error"))
-        budget = combine([item.as_input(point) for item in inputs], not_stated=not_stated)
-        simulated = simulate_force(point, inputs, budget)
-        expanded.append(ExpandedForce(point.place_mm, force_N, points.model.steady_s, budget, simulated))
+        expanded.append(_expand(point, inputs, not_stated, points.model.steady_s))
     return tuple(expanded)
 
 
@@ -109,12 +153,8 @@ def list_places(calibration: Calibration) -> tuple[Place, ...]:
     return tuple(dict.fromkeys(places)) or ((0.0, 0.0),)
 
 
-def _find_problems(
-    calibration: Calibration, forces_N: Sequence[float], places_mm: Sequence[Place], settling_s: float
-) -> Iterator[str]:
+def _find_problems(calibration: Calibration, forces_N: Sequence[float], places_mm: Sequence[Place]) -> Iterator[str]:
     """Yield what is outside the calibrated range, or the standards'."""
-    if not settling_s >= 0:
-        yield f"a settling time of {settling_s} s is negative"
     low_N, high_N = calibration.validity.force_N or (0.0, inf)
     for force_N in forces_N:
         if not (force_N > 0 and low_N <= force_N <= high_N):

@@ -8,16 +8,25 @@ from typing import Final
 
 import numpy as np
 
-from cbsr_qa.calibration.uncertainty.combination import BudgetInput
+from cbsr_qa.calibration.uncertainty.combination import BudgetInput, coverage_factor
 from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoint
 from cbsr_qa.calibration.uncertainty.transients import kernel_error
 from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration, ForceModel
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, Result
 
 _DAYS_A_YEAR: Final = 365.25
 #: Standard uncertainty of a rectangle over its width (JCGM 100, 4.3.7).
 _OF_WIDTH: Final = 1 / sqrt(12)
+#: Degrees of freedom of the scatter by each place that was pressed, which the map's fit tells it by, and the least:
+#: found by simulation (docs/explanation/uncertainty.md).
+_DOF_OF_PLACE: Final = 0.2
+_LEAST_DOF: Final = 2.0
+#: Fewest degrees of freedom in a budget: for fewer, Welch and Satterthwaite's formula falls short of random numbers
+#: (t of 2 has no variance). An error of fewer is widened to t of 5 with the same 95 %.
+_FEWEST_DOF: Final = 5.0
+#: Largest difference of two holds, of the calibrated one, that counts as none without a kernel. Chosen by us.
+_ALIKE: Final = 0.2
 
 
 @dataclass(frozen=True, slots=True)
@@ -31,6 +40,7 @@ class ForceInput:
     uncertainty : standard uncertainty of the error there; ``sign`` is that of its effect.
     rectangular : whether the error is as likely anywhere within bounds, and impossible beyond.
     in_runtime : whether the standard error that the runtime gives for a frame has it, beside the shared part.
+    widened : how many times larger it is than there.
     """
 
     name: str
@@ -43,6 +53,7 @@ class ForceInput:
     sign: float = 1.0
     rectangular: bool = False
     in_runtime: bool = False
+    widened: float = 1.0
 
     def as_input(self, point: ForcePoint) -> BudgetInput:
         """Return the input with its sensitivity."""
@@ -64,19 +75,14 @@ class ForceInputs:
     model: ForceModel
     settling_s: float
 
-    def list_at(self, point: ForcePoint) -> tuple[list[ForceInput], list[str]]:
-        """Return the inputs of a force at a point, and the names of those that nothing gives a number for."""
-        listed = [
-            *self._load_cell(point),
-            *self._head(),
-            *self._position(point),
-            *self._map(point),
-            *self._line(point),
-            *self._transients(point),
-            *self._repeatability(),
-            *self._temperature(),
-            *self._readings(point),
-        ]
+    def list_at(self, point: ForcePoint, result: Result) -> tuple[list[ForceInput], list[str]]:
+        """Return the inputs of a result at a point, and the names of those that nothing gives a number for."""
+        listed = [*self._load_cell(point), *self._head(), *self._position(point)]
+        if result is not Result.ERROR:  # what map and line miss is part of the error itself
+            listed += [*self._map(point), *self._line(point)]
+        listed += [*self._transients(point), *self._repeatability(), self._noise(point)]
+        if result is Result.IN_USE:
+            listed += [*self._temperature(), self._gains(point), "ageing of the sensor"]
         stated = [item for item in listed if isinstance(item, ForceInput)]
         return stated, [item for item in listed if isinstance(item, str)]
 
@@ -157,14 +163,15 @@ class ForceInputs:
         )
 
     def _transients(self, point: ForcePoint) -> Iterator[ForceInput | str]:
-        name = "prediction of transients"
-        if self.settling_s == self.model.steady_s:
+        name, kernel = "prediction of transients", self.model.loading
+        is_known = kernel is not None and len(kernel.weights) > 0
+        tolerance_s = 0.0 if is_known else _ALIKE * self.model.steady_s
+        if abs(self.settling_s - self.model.steady_s) <= tolerance_s:
             source = f"none: loads are held for {self.settling_s:.3g} s, as those that calibrated"
             yield ForceInput(name, "A", Entry.STRENGTH, 0.0, source)
-        elif self.model.loading is None or not len(self.model.loading.weights):
+        elif kernel is None or not is_known:
             yield name
         else:
-            kernel = self.model.loading
             relative = kernel_error(kernel, self.settling_s, self.model.steady_s)
             source = f"relaxation of {kernel.loads} loads, from {self.settling_s:.3g} to {self.model.steady_s:.3g} s"
             freedom = max(kernel.scatter_freedom, 1.0)
@@ -173,10 +180,20 @@ class ForceInputs:
     def _repeatability(self) -> Iterator[ForceInput | str]:
         presses = sum(place.loads for place in self.calibration.baseline if place.value is not None)
         places = sum(1 for place in self.calibration.baseline if place.value is not None)
-        freedom = float(max(presses - places, 1))
-        source = f"scatter of {presses} loads at {places} places about the map"
+        freedom = max(presses - places + _DOF_OF_PLACE * places, _LEAST_DOF)
+        source, widened = f"scatter of {presses} loads at {places} places about the map", 1.0
+        if freedom < _FEWEST_DOF:
+            widened = coverage_factor(freedom) / coverage_factor(_FEWEST_DOF)
+            source += f", times {widened:.3g}: its {freedom:.2g} degrees of freedom count as {_FEWEST_DOF:.0f}"
         yield ForceInput(
-            "repeatability", "A", Entry.RESPONSE, self.model.scatter, source, dof=freedom, in_runtime=True
+            "repeatability",
+            "A",
+            Entry.RESPONSE,
+            self.model.scatter * widened,
+            source,
+            dof=max(freedom, _FEWEST_DOF),
+            in_runtime=True,
+            widened=widened,
         )
         left = self.model.residue_strength * hypot(self.model.residue_share, self.model.residue_stderr)
         source = "what earlier loads left before the run's presses, of which a share stays, chosen by us"
@@ -205,27 +222,26 @@ class ForceInputs:
             rectangular=True,
         )
 
-    def _readings(self, point: ForcePoint) -> Iterator[ForceInput | str]:
+    def _gains(self, point: ForcePoint) -> ForceInput | str:
         meter = find_standard(self.calibration.standards, StandardRole.SOURCE_METER)
         drift = None if meter is None else meter.drift_uncertainty(IN_USE_YEARS)
         if meter is None or drift is None:
-            yield GAIN_DRIFT
-        else:
-            source = f"at most {meter.drift_a_year:g} % a year, for use within {IN_USE_YEARS:g} year of the reference"
-            sign = -1.0 if point.gain < 0 else 1.0
-            yield ForceInput(
-                GAIN_DRIFT,
-                "B",
-                Entry.STRENGTH,
-                abs(point.gain) * drift,
-                source,
-                shared=True,
-                sign=sign,
-                rectangular=True,
-            )
-        yield ForceInput(
-            "noise of a frame", "A", Entry.STRENGTH, point.noise, "the run's frames at rest", in_runtime=True
+            return GAIN_DRIFT
+        source = f"at most {meter.drift_a_year:g} % a year, for use within {IN_USE_YEARS:g} year of the reference"
+        return ForceInput(
+            GAIN_DRIFT,
+            "B",
+            Entry.STRENGTH,
+            abs(point.gain) * drift,
+            source,
+            shared=True,
+            sign=-1.0 if point.gain < 0 else 1.0,
+            rectangular=True,
         )
+
+    def _noise(self, point: ForcePoint) -> ForceInput:
+        source = "the run's frames at rest"
+        return ForceInput("noise of a frame", "A", Entry.STRENGTH, point.noise, source, in_runtime=True)
 
 
 def combine_standard(standard: ReferenceStandard, issued_at: str) -> float:

@@ -1,4 +1,4 @@
-"""Distribution of a force by random numbers (JCGM 101), beside a budget whose model bends. Numpy alone."""
+"""Distribution of a force by random numbers (JCGM 101), where a budget alone may not do. Numpy alone."""
 
 from collections.abc import Sequence
 from typing import Final
@@ -15,8 +15,10 @@ TRIALS: Final = 40_000
 _SEED: Final = 101
 #: Least shift by second-order terms, of the standard uncertainty, for a model to count as bent.
 _BENT: Final = 0.05
-#: Largest share of the variance by one rectangular error for a sum to count as normal.
-_RECTANGULAR: Final = 0.5
+#: Largest share of the variance by one error that is not normal for a sum to count as normal.
+_DOMINATES: Final = 0.5
+#: Degrees of freedom below which an error is clearly not normal: k of 10 is 14 % above that of infinitely many.
+_FEW: Final = 10
 
 
 def simulate_force(point: ForcePoint, inputs: Sequence[ForceInput], budget: Budget) -> MonteCarlo | None:
@@ -44,10 +46,10 @@ def draw_errors(item: ForceInput, random: np.random.Generator, count: int) -> Ar
 def _describe_bend(point: ForcePoint, inputs: Sequence[ForceInput], budget: Budget) -> str:
     shift_N = sum(abs(point.bend(item.entry)) * item.uncertainty**2 / 2 for item in inputs)
     if shift_N > _BENT * budget.standard_uncertainty:
-        share = shift_N / budget.standard_uncertainty
-        return f"terms of second order shift the force by up to {share:.0%} of its standard uncertainty"
+        return f"terms of second order shift the force by over {_BENT:.0%} of its standard uncertainty"
     rectangular = {item.name for item in inputs if item.rectangular}
     for component in budget.components:
-        if component.name in rectangular and component.share > _RECTANGULAR:
-            return f"{component.name} is rectangular and has {component.share:.0%} of the variance"
+        if component.share > _DOMINATES and (component.name in rectangular or component.dof < _FEW):
+            how = "is rectangular" if component.name in rectangular else f"has {component.dof:.0f} degrees of freedom"
+            return f"{component.name} {how}, and has over half of the variance"
     return ""

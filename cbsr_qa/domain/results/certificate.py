@@ -43,7 +43,7 @@ class CheckedLoad:
     phase : phase of the run.
     reference_N : mean of the load cell from the last frame of the hold to its end.
     indicated_N : by the calibration, from that frame, the place known.
-    expanded : uncertainty of the indicated force at this place and force.
+    expanded : uncertainty of the error that this press shows.
     max_error_N : maximum permissible error; None without a requirement.
     outcome : decision, a word of :class:`cbsr_qa.stats.conformity.Conformity`; empty without a requirement.
     conformance : probability that the true error is within its maximum; None without a requirement.
@@ -59,6 +59,31 @@ class CheckedLoad:
 
     @property
     def error_N(self) -> float:
+        return self.indicated_N - self.reference_N
+
+
+@dataclass(frozen=True, slots=True)
+class LeftOutLoad:
+    """A load that the calibration was not learned from, and that is not checked.
+
+    Parameters
+    ----------
+    phase, place_mm : phase of the run, and place from the sheet's centre.
+    why : why there is no error; empty for a load outside of the stated range.
+    reference_N, indicated_N : as of a checked load; None where there is none.
+    """
+
+    phase: str
+    place_mm: tuple[float, float]
+    why: str
+    reference_N: float | None = None
+    indicated_N: float | None = None
+
+    @property
+    def error_N(self) -> float | None:
+        """None where the load cell or the calibration tells no force."""
+        if self.reference_N is None or self.indicated_N is None:
+            return None
         return self.indicated_N - self.reference_N
 
 
@@ -80,9 +105,9 @@ class Certificate:
     temperature_C : lowest and highest; None if it was not measured.
     range_N, radius_mm : forces, and distance from the centre, for which the calibration is valid.
     standards : those that were stated.
-    forces : results: force with U at stated places.
+    forces, forces_in_use : results: force with U at stated places, on the day of calibration; the same in use.
     checked : loads that the calibration was not learned from, within its range.
-    held_out : number of all loads that it was not learned from.
+    left_out : all other loads that it was not learned from.
     reduced : why the calibration's range is smaller than intended.
     valid_until : None: no validity is stated.
     replaced : the certificate that this one replaces; None without.
@@ -105,8 +130,9 @@ class Certificate:
     radius_mm: float
     standards: tuple[ReferenceStandard, ...]
     forces: tuple[ExpandedForce, ...]
+    forces_in_use: tuple[ExpandedForce, ...]
     checked: tuple[CheckedLoad, ...]
-    held_out: int
+    left_out: tuple[LeftOutLoad, ...]
     reduced: tuple[str, ...]
     valid_until: date | None
     replaced: Replacement | None

@@ -1,12 +1,21 @@
 """Forces and places with expanded uncertainties, and the budgets that they come from (JCGM 100, 6 and 7)."""
 
 from dataclasses import dataclass
+from enum import StrEnum
 from math import hypot
 from typing import Final
 
 #: Input of a sensor in use: its readings' gains since the reference frame, and the time for which they are stated.
 GAIN_DRIFT: Final = "drift of gains since the reference"
 IN_USE_YEARS: Final = 1.0
+
+
+class Result(StrEnum):
+    """What an uncertainty is stated of; docs/explanation/uncertainty.md says which inputs belong to each."""
+
+    ON_THE_DAY = "on the day"  #: a force that the sensor indicates on the day of calibration
+    IN_USE = "in use"  #: a force that it indicates later, until the end of its validity
+    ERROR = "error"  #: indicated less reference force of one press, as the sensor's error there
 
 
 @dataclass(frozen=True, slots=True)
@@ -93,12 +102,12 @@ class Budget:
 
 @dataclass(frozen=True, slots=True)
 class ExpandedForce:
-    """A force of one settled load at a stated place, with its expanded uncertainty for 95 %.
+    """A force of one settled load at a stated place, or the error of one, with the expanded uncertainty for 95 %.
 
     Parameters
     ----------
     place_mm : (x, y) from the sheet's centre.
-    force_N : stated force.
+    force_N : stated force; of an error, the reference force.
     settling_s : time after the press's ramp for which it is stated.
     budget : uncertainty [N].
     monte_carlo : distribution by random numbers where the model bends; None where it does not.

@@ -60,8 +60,12 @@ def test_a_certificate_is_issued_by_the_contract_and_holds(place):
     assert list(made) == ["number", "html", "dcc", "statement", "force", "standards"]
     assert re.fullmatch(r"SSW-[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}", made["number"])
     assert "of 4 checked loads" in made["statement"]
-    assert {tuple(one) for one in made["force"]} == {("place_mm", "force_N", "U_N", "k", "dof")}
-    assert all(one["U_N"] > 0 and one["k"] >= 1.9599 for one in made["force"])
+    on_the_day = ("place_mm", "force_N", "U_N", "k", "dof", "not_stated")
+    in_use = ("U_in_use_N", "k_in_use", "dof_in_use", "not_stated_in_use")
+    assert {tuple(one) for one in made["force"]} == {(*on_the_day, *in_use)}
+    assert all(one["U_in_use_N"] >= one["U_N"] > 0 and one["k"] >= 1.9599 for one in made["force"])
+    assert all("drift of the load cell" in one["not_stated"] for one in made["force"])
+    assert all("ageing of the sensor" in one["not_stated_in_use"] for one in made["force"])
     assert made["standards"][:2] == [
         {"role": "load_cell", "number": "K-7", "due": "2099-03-31", "stated": True},
         {"role": "indenter", "number": None, "due": None, "stated": False},
@@ -108,7 +112,7 @@ def test_an_overridden_verdict_is_stated_with_who_decided(place):
 
 @REST
 def test_a_validity_beyond_the_time_that_u_is_stated_for_is_refused(place, monkeypatch):
-    monkeypatch.setattr(compose, "evaluate_forces", lambda *_: (expanded_force(name=GAIN_DRIFT),))
+    monkeypatch.setattr(compose, "evaluate_forces", lambda *_, result: (expanded_force(name=GAIN_DRIFT),))
     place.certify("S-1", "--to", "out", "--validity-months", "13", code=2)
     issued_nothing(place)
 

@@ -7,6 +7,7 @@ from math import hypot, inf, sqrt
 import numpy as np
 import pytest
 from force_calibration import force_calibration, frames
+from scipy.stats import t as student_t
 
 from cbsr_qa.calibration.abilities import ForceAbility, describe_abilities
 from cbsr_qa.calibration.runtime.calibration import Calibration as Runtime
@@ -15,6 +16,7 @@ from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoints
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.calibration import BaselineConductance, BatchUse
+from cbsr_qa.domain.results.expanded_force import Result
 from cbsr_qa.domain.results.relaxation import RelaxationKernel
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
@@ -51,7 +53,8 @@ def uncertainties(expanded):
     return {part.name: part.standard_uncertainty for part in expanded.components}
 
 
-def test_without_standards_the_budget_is_what_the_calibration_says_of_itself(bare):
+def test_without_standards_the_budget_is_what_the_calibration_says_of_itself(bare, stated):
+    bare = replace(bare, baseline=stated.baseline)  # enough repeats
     for force_N in (1.0, 4.0):
         ability = ForceAbility.from_calibration(bare, bare.force)
         stderr_N = ability.stderr_N(force_N)
@@ -72,9 +75,10 @@ def test_what_nothing_gives_a_number_for_is_not_in_the_sum(bare, stated):
         "place of indentation",
         "temperature",
         "drift of gains since the reference",
+        "ageing of the sensor",
     )
     (full,) = evaluate_forces(stated, [2.0], [PLACE])
-    assert full.not_stated == ("tilt of the head",)
+    assert full.not_stated == ("tilt of the head", "ageing of the sensor")
     assert full.standard_uncertainty_N > expanded.standard_uncertainty_N
 
 
@@ -153,10 +157,27 @@ def test_few_repeated_loads_widen_the_coverage_factor(stated):
         force=replace(stated.force, scatter=0.2),
     )
     (many,) = evaluate_forces(alone, [5.0], [PLACE])
-    (few,) = evaluate_forces(replace(alone, baseline=alone.baseline[:1]), [5.0], [PLACE])
+    (few,) = evaluate_forces(replace(alone, baseline=alone.baseline[:3]), [5.0], [PLACE])
     assert 1.96 < many.k < few.k
-    assert {part.name: part.dof for part in few.components}["repeatability"] == 2
+    assert {part.name: part.dof for part in few.components}["repeatability"] == 6.6
     assert few.standard_uncertainty_N == pytest.approx(many.standard_uncertainty_N)
+
+
+@pytest.mark.parametrize(("places", "dof"), [(4, 2), (9, 2), (16, 3), (24, 4)])
+def test_the_scatter_of_places_pressed_once_is_widened_to_what_its_few_degrees_of_freedom_give(stated, places, dof):
+    once = tuple(BaselineConductance(f"L{n}", 3.0 * n, 0.0, 0.3, 0.01, 1) for n in range(places))
+    (few,) = evaluate_forces(replace(stated, baseline=once), [5.0], [PLACE])
+    (many,) = evaluate_forces(stated, [5.0], [PLACE])
+    wide_N, plain_N = (uncertainties(one)["repeatability"] for one in (few, many))
+    assert {part.name: part.dof for part in few.components}["repeatability"] == 5
+    assert wide_N * student_t.ppf(0.975, 5) == pytest.approx(plain_N * student_t.ppf(0.975, dof), rel=1e-6)
+    # expand() does not take what is beyond the runtime's scatter from the error of the place
+    told = Runtime(replace(stated, baseline=once))
+    found = told.expand(told.force(frames([PLACE], np.array([3.0]))))[0]
+    plain = Runtime(stated)
+    usual = plain.expand(plain.force(frames([PLACE], np.array([3.0]))))[0]
+    name = "place found in the frame"
+    assert uncertainties(found)[name] == pytest.approx(uncertainties(usual)[name])
 
 
 def test_a_line_whose_slope_and_intercept_are_partly_correlated_has_their_variance(stated):
@@ -264,9 +285,14 @@ def test_the_runtime_gives_each_told_force_an_expanded_uncertainty(stated):
 
 def test_what_a_sensor_does_states_U_where_a_load_cell_is_stated(bare, stated):
     words = " ".join(describe_abilities(stated))
-    worst_N = max(one.U_N for one in evaluate_forces(stated) if one.force_N == 5.5)
-    assert f"Expanded uncertainty of 5.5 N: at most U = {worst_N:#.2g} N (k = " in words
-    assert "Not stated, and not in U: tilt of the head." in words
+    day_N, in_use_N = (
+        max(one.U_N for one in evaluate_forces(stated, result=when) if one.force_N == 5.5)
+        for when in (Result.ON_THE_DAY, Result.IN_USE)
+    )
+    assert day_N < in_use_N
+    assert f"Expanded uncertainty of 5.5 N: at most U = {day_N:#.2g} N (k = " in words
+    assert f"; in use {in_use_N:#.2g} N (k = " in words
+    assert "U without: tilt of the head; in use: tilt of the head, ageing of the sensor." in words
     assert "Expanded" not in " ".join(describe_abilities(bare))
     narrow = replace(stated, standards=(replace(LOAD_CELL, range_high=3.0),))
     assert "No expanded uncertainty is stated: 3.25 N is outside" in " ".join(describe_abilities(narrow))
