@@ -11,10 +11,30 @@ from jinja2 import Template
 from markupsafe import Markup
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
-from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, CheckedLoad
+from cbsr_qa.domain.results.certificate import NOT_MEASURED, NOT_STATED, Certificate, CheckedLoad, Replacement
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce, MonteCarlo
 from cbsr_qa.report.render import make_environment, read_style
 
+#: Sentences of page and XML that are the same in every certificate.
+ITEM: Final = "Soft pressure sensor, read by electrical impedance tomography"
+PROCEDURE: Final = (
+    "A flat head presses the sheet at known places. Its force is measured by a load cell and its readings by the"
+    " electronics of the station; from these loads the calibration is learned that turns readings into force. Other"
+    " loads, which it was not learned from, check it."
+)
+ABOUT_UNCERTAINTIES: Final = (
+    "U = k·u for a coverage probability of about 95 % (JCGM 100:2008); k is of Student's distribution with the"
+    " effective degrees of freedom ν."
+)
+ABOUT_THE_DAY: Final = "U is that of the day of calibration."
+ABOUT_ERRORS: Final = (
+    "Error: force indicated by the last frame of the hold, minus reference force. U is that of the error"
+)
+SCOPE: Final = (
+    "The results relate only to the item named above, as it was when it was calibrated. The customer's name and"
+    " address are as the customer stated them. This certificate may be reproduced only in full, unless the laboratory"
+    " agrees in writing."
+)
 #: Most checked loads in the table: more do not fit on the page. Those nearest to their limit are shown.
 _MOST_LOADS: Final = 8
 #: Most reductions of the range that are written out.
@@ -59,9 +79,19 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
         c=certificate,
         style=_read_style(),
         not_stated=NOT_STATED,
-        performed_at=_PERFORMED[certificate.settings.performed_at],
+        not_measured=NOT_MEASURED,
+        item=ITEM,
+        place=describe_place(certificate),
+        replaced="" if certificate.replaced is None else describe_replaced(certificate.replaced),
+        validity=describe_validity(certificate),
+        procedure=PROCEDURE,
         traceability=describe_traceability(certificate),
-        fingerprint=fingerprint,
+        about_results=describe_results(certificate),
+        about_uncertainties=ABOUT_UNCERTAINTIES,
+        about_the_day=ABOUT_THE_DAY,
+        about_errors=ABOUT_ERRORS,
+        scope=SCOPE,
+        signature=describe_signature(fingerprint),
         standards=list(_standards(certificate)),
         dense=_count_long_texts(certificate) > _MOST_TEXT,
         forces_N=[format_value(force.force_N, 3) for force in _row(certificate.forces)],
@@ -71,7 +101,6 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
         missing_in_use=list_missing(certificate.forces_in_use),
         missing_of_errors=list_missing([load.expanded for load in certificate.checked]),
         checked=describe_checked(certificate),
-        settling_s=format_value(certificate.forces[0].settling_s, 3),
         loads=[_load(load) for load in choose_loads(certificate.checked)],
         statement=state_conformity(certificate),
         rule=describe_rule(certificate),
@@ -113,6 +142,46 @@ def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:
     """Return the loads that are listed: all, or those nearest to their limit, else of the largest errors."""
     nearest = sorted(checked, key=lambda load: (load.max_error_N or 0.0) - abs(load.error_N))[:_MOST_LOADS]
     return [load for load in checked if load in nearest]
+
+
+def describe_place(certificate: Certificate) -> str:
+    """Return where the sensor was calibrated."""
+    settings = certificate.settings
+    return f"{settings.place}, {_PERFORMED[settings.performed_at]}"
+
+
+def describe_validity(certificate: Certificate) -> str:
+    """Return the last day of validity; whether the customer agreed to it (ISO/IEC 17025, 7.8.4.3) is not known."""
+    return NOT_STATED if certificate.valid_until is None else f"valid until {certificate.valid_until}"
+
+
+def describe_replaced(replaced: Replacement) -> str:
+    """Return which certificate this one replaces, what became of it before, and why (ISO/IEC 17025, 7.8.8.3)."""
+    before = f"was {replaced.revoked}" if replaced.revoked else "is no longer valid"
+    return (
+        f"This certificate replaces certificate {replaced.number}, which {before}. Reason of the replacement:"
+        f" {replaced.why}"
+    )
+
+
+def describe_signature(fingerprint: str) -> str:
+    """Return who signed the file of page or XML."""
+    if not fingerprint:
+        return "This file is not signed electronically."
+    return (
+        f"This file is signed electronically (Ed25519) beside it, by the key {fingerprint}; cbsr-qa certificate"
+        " verify checks it."
+    )
+
+
+def describe_results(certificate: Certificate) -> str:
+    """Return of which loads the results are."""
+    least_N, most_N = certificate.range_N
+    return (
+        f"For one frame of one load of the head ({certificate.head}) at a known place,"
+        f" {format_value(certificate.forces[0].settling_s, 3)} s after the press, from {least_N:.3g} N to"
+        f" {most_N:.3g} N within {certificate.radius_mm:.3g} mm of the sheet's centre."
+    )
 
 
 def state_conformity(certificate: Certificate) -> str:
@@ -174,11 +243,17 @@ def describe_rule(certificate: Certificate) -> str:
     )
 
 
+def is_traceable(certificate: Certificate) -> bool:
+    """Whether forces are traceable to the SI: measured, by a load cell whose certificate is stated."""
+    measured = not certificate.identity.simulated
+    return measured and find_standard(certificate.standards, StandardRole.LOAD_CELL) is not None
+
+
 def describe_traceability(certificate: Certificate) -> str:
     """Return what forces are traceable to: no more than what was stated."""
     if certificate.identity.simulated:
         return "The calibration was simulated: no traceability to the SI is claimed."
-    if find_standard(certificate.standards, StandardRole.LOAD_CELL) is None:
+    if not is_traceable(certificate):
         return "The load cell is not stated: no traceability of force to the SI is claimed."
     return (
         "Forces are traceable to the SI through the certificate of the load cell; for standards that are not stated,"
@@ -264,7 +339,7 @@ def _count_long_texts(certificate: Certificate) -> int:
     texts += [f"{one.role}: {one.model}, serial number {one.serial}; " for one in identity.instruments]
     texts += [str(part) for part in identity.parts]
     texts += [settings.laboratory, settings.street, settings.place, customer.name, customer.address]
-    texts += [] if certificate.replaced is None else [certificate.replaced.why]
+    texts += [] if certificate.replaced is None else [describe_replaced(certificate.replaced)]
     return sum(map(len, texts))
 
 

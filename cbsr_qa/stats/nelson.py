@@ -115,9 +115,7 @@ _TESTS: Final[dict[Rule, Callable[[Array], Flags]]] = {
     Rule.TWO_OF_THREE: _test_both_sides(
         lambda z: _flag_beyond(z, 2, 2, 3)
     ),  # 2 q (1 − (1 − q)²) = 0.0020, q = 0.0228
-    Rule.FOUR_OF_FIVE: _test_both_sides(
-        lambda z: _flag_beyond(z, 1, 4, 5)
-    ),  # 2 q P(3 or 4 of 4) = 0.0044, q = 0.159
+    Rule.FOUR_OF_FIVE: _test_both_sides(lambda z: _flag_beyond(z, 1, 4, 5)),  # 2 q P(3 or 4 of 4) = 0.0044, q = 0.159
     Rule.HUGGING: lambda z: _find_lasting(np.abs(z) < 1, 15),  # 0.683¹⁵ = 0.0033
     Rule.AVOIDING: lambda z: _find_lasting(np.abs(z) > 1, 8),  # 0.317⁸ = 0.0001
 }

@@ -54,7 +54,7 @@ def test_the_page_states_what_a_certificate_must():
         "Hall 3, line 1, at the laboratory",
         "Date of calibration 2026-11-21",
         "Date of issue 2026-11-22",
-        "2027-11-21, as agreed with the customer",
+        "Validity valid until 2027-11-21",
         f"Recipe short SHA-256 of the recipe {64 * 'd'}",
         f"{one.calibration} SHA-256 of its content {64 * 'c'}",
         "22.4 °C to 23.1 °C",
@@ -78,7 +78,7 @@ def test_what_was_not_stated_is_said_to_be_not_stated():
         "Customer not stated",
         "Temperature not measured",
         "load cell not stated",
-        "Valid until not stated",
+        "Validity not stated",
     ):
         assert stated in text, stated
     assert "not signed electronically" in text
@@ -165,7 +165,10 @@ def test_a_page_holds_no_script_and_loads_nothing():
 
 def test_a_replacement_names_the_certificate_before_it_and_the_reason():
     text = text_of(render_certificate(certificate(replaced=Replacement("SSW-1", "name <corrected>", 64 * "e")), ""))
-    assert "This certificate replaces certificate SSW-1 , which is no longer valid. Reason: name <corrected>" in text
+    assert (
+        "This certificate replaces certificate SSW-1, which is no longer valid. Reason of the replacement:"
+        " name <corrected>" in text
+    )
 
 
 @pytest.mark.parametrize(

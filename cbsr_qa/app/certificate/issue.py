@@ -203,8 +203,9 @@ def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[Ce
 
 def _render(composed: Composed, key: SigningKey | None, now: datetime) -> IssuedCertificate:
     certificate = composed.certificate
-    html = render_certificate(certificate, "" if key is None else fingerprint(key.public_key)).encode()
-    dcc = render_dcc(certificate)
+    signed_by = "" if key is None else fingerprint(key.public_key)
+    html = render_certificate(certificate, signed_by).encode()
+    dcc = render_dcc(certificate, signed_by)
     valid_until = None if certificate.valid_until is None else certificate.valid_until.isoformat()
     seal = CertificateSeal(
         certificate.number,

@@ -10,6 +10,8 @@ from cbsr_qa.domain.run.run import RunIdentity
 
 #: What a certificate says where nothing was stated.
 NOT_STATED = "not stated"
+#: What it says where no instrument tells.
+NOT_MEASURED = "not measured"
 
 
 def is_reference_known(identity: RunIdentity, standards: tuple[ReferenceStandard, ...]) -> bool:
@@ -27,11 +29,19 @@ class Customer:
 
 @dataclass(frozen=True, slots=True)
 class Replacement:
-    """Number of the certificate that another one replaces, the reason, and the SHA-256 of its XML."""
+    """A certificate that another one replaces.
+
+    Parameters
+    ----------
+    number, dcc_sha256 : its number, and the SHA-256 of its XML.
+    why : why it is replaced.
+    revoked : when, by whom and why it was revoked before, in words; empty if it stood.
+    """
 
     number: str
     why: str
     dcc_sha256: str
+    revoked: str = ""
 
 
 @dataclass(frozen=True, slots=True)
@@ -136,6 +146,11 @@ class Certificate:
     reduced: tuple[str, ...]
     valid_until: date | None
     replaced: Replacement | None
+
+    @property
+    def condition(self) -> str:
+        """State of the item when it was calibrated, in words."""
+        return f"verdict of the recipe's limits: {self.verdict}"
 
     @property
     def is_judged(self) -> bool:
