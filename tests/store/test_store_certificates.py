@@ -7,7 +7,7 @@ from dataclasses import replace
 import pytest
 from altered_runs import certificate
 from stored_runs import calibration
-from synced import judged, run_of
+from synced import Place, assert_all_there, judged, run_of, sent
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.opening import open_store
@@ -36,7 +36,7 @@ def test_a_certificate_comes_back_as_it_was_stored(store):
     one = replace(certified(store), signature='{"Δ": 1}\n')
     store.certificates.save(one)
     back = store.certificates.load(one.number)
-    assert (back.issued, back.serial, back.withdrawal) == (one, "S-1", None)
+    assert (back.issued, back.serial, back.withdrawals, back.withdrawn) == (one, "S-1", (), "")
     assert store.certificates.find("LAB-none") is None
     assert store.certificates.count(one.run) == 1
     assert store.runs.load(one.run).chain.chained
@@ -49,7 +49,7 @@ def test_a_run_has_one_certificate_that_stands(store):
     with pytest.raises(StoreError, match=f"certificate {one.number} of this run stands"):
         store.certificates.save(other)
     store.certificates.save(replace(other, replaces=one.number, why="name"))
-    gone = store.certificates.load(one.number).withdrawal
+    (gone,) = store.certificates.load(one.number).withdrawals
     assert (gone.replaced_by, gone.why, gone.operator) == ("LAB-other", "name", one.signatory)
     with pytest.raises(StoreError, match="does not stand: it was replaced by certificate LAB-other"):
         store.certificates.revoke(one.number, operator="Ada", why="so")
@@ -59,7 +59,7 @@ def test_a_certificate_of_an_earlier_run_is_replaced_under_its_own_chain(store):
     first, second = certified(store), certified(store)
     store.certificates.save(first)
     store.certificates.save(replace(second, replaces=first.number, why="calibrated again"))
-    assert store.certificates.load(first.number).withdrawal.replaced_by == second.number
+    assert [one.replaced_by for one in store.certificates.load(first.number).withdrawals] == [second.number]
     for run in (first.run, second.run):
         assert store.runs.load(run).chain.chained
     assert [one.issued.number for one in store.certificates.list_all("S-1")] == [first.number, second.number]
@@ -73,7 +73,7 @@ def test_what_is_not_there_or_of_another_sensor_is_not_replaced_and_nothing_is_s
     with pytest.raises(StoreError, match="there is no certificate 'LAB-none'"):
         store.certificates.save(replace(mine, replaces="LAB-none", why="so"))
     assert store.certificates.count(mine.run) == 0
-    assert store.certificates.load(other.number).withdrawal is None
+    assert store.certificates.load(other.number).withdrawals == ()
 
 
 def test_a_number_is_given_once(store):
@@ -82,6 +82,50 @@ def test_a_number_is_given_once(store):
     with pytest.raises(StoreError):
         store.certificates.save(replace(other, number=mine.number))
     assert store.certificates.load(mine.number).serial == "S-1"
+
+
+def test_a_certificate_after_a_revocation_names_the_revoked_one(store):
+    """ISO/IEC 17025:2017, 7.8.8.3."""
+    one = certified(store)
+    store.certificates.save(one)
+    store.certificates.revoke(one.number, operator="Ada", why="wrong head")
+    with pytest.raises(
+        StoreError, match=f"certificate {one.number} of this run was revoked on .* by Ada: wrong head"
+    ):
+        store.certificates.save(replace(one, number="LAB-2"))
+    store.certificates.save(replace(one, number="LAB-2", replaces=one.number, why="right head"))
+    old = store.certificates.load(one.number)
+    assert [gone.replaced_by for gone in old.withdrawals] == [None, "LAB-2"]
+    assert "wrong head; replaced by certificate LAB-2 on" in old.withdrawn
+    with pytest.raises(StoreError, match=r"does not stand: it was revoked on .*; replaced by certificate LAB-2"):
+        store.certificates.save(replace(one, number="LAB-3", replaces=one.number, why="again"))
+
+
+def test_after_a_later_run_took_over_the_earlier_one_may_be_certified_again(store):
+    first, second = certified(store), certified(store)
+    store.certificates.save(first)
+    store.certificates.save(replace(second, replaces=first.number, why="calibrated again"))
+    store.certificates.save(replace(first, number="LAB-again"))
+    assert store.certificates.load("LAB-again").withdrawn == ""
+
+
+def test_a_run_that_was_sent_here_is_certified_and_revoked_where_it_was_begun(tmp_path):
+    """Numbers are counted per run: two databases that both counted would give the same one."""
+    station, centre = (Place(f"sqlite:///{tmp_path / name}.db") for name in ("station", "centre"))
+    one = certified(station.store)
+    station.store.certificates.save(one)
+    sent(station, centre)
+    for attempt in (
+        lambda: centre.store.certificates.save(replace(one, number="LAB-2", replaces=one.number, why="so")),
+        lambda: centre.store.certificates.revoke(one.number, operator="Ada", why="so"),
+        lambda: centre.store.certificates.check_allowed(one.run, None),
+    ):
+        with pytest.raises(StoreError, match="was begun in another database, of station 'bench-α', and sent here"):
+            attempt()
+    station.store.certificates.revoke(one.number, operator="Ada", why="so")
+    sent(station, centre)
+    assert centre.store.certificates.load(one.number).withdrawn.endswith("by Ada: so")
+    assert_all_there(centre.engine, station.engine)
 
 
 @pytest.mark.parametrize(

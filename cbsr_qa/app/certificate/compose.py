@@ -23,6 +23,7 @@ from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.plan.standards import find_doubtful_dates
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
+from cbsr_qa.domain.results.certificate_records import StoredCertificate
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce, Result
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
@@ -53,13 +54,15 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
     Raises
     ------
     StoreError
-        If the run was altered or its chain removed, or another certificate of it stands.
+        If the run was altered or its chain removed, or no certificate of it may be issued here (see
+        :meth:`~cbsr_qa.store.results.certificates.Certificates.check_allowed`).
     RefusedError
         If the sensor did not pass, the run issued no calibration that tells force, a standard was expired on the day
         of calibration, or the validity has ended.
     ConfigError
         If the settings are missing or not allowed.
     """
+    replaced = store.certificates.check_allowed(run, request.replaces or None)
     record, stored = store.runs.load(run), store.analyses.load(run)
     if not record.chain.chained:
         raise StoreError(f"run {run} is not certified: {record.chain.words}", remedy="test the sensor again")
@@ -110,7 +113,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         left_out=left_out,
         reduced=issued.validity.reduced,
         valid_until=valid_until,
-        replaced=_find_replaced(store, request),
+        replaced=None if replaced is None else _describe_replaced(replaced, request.why),
     )
     return Composed(certificate, key, record.chain_head)
 
@@ -127,12 +130,9 @@ def _check_validity(run: str, settings: CertificateSettings, forces: Sequence[Ex
         )
 
 
-def _find_replaced(store: Repository, request: CertificateRequest) -> Replacement | None:
-    """Return what the certificate replaces; None for nothing. StoreError if that is not there."""
-    if not request.replaces:
-        return None
-    replaced = store.certificates.load(request.replaces)
-    return Replacement(request.replaces, request.why, hashlib.sha256(replaced.issued.dcc).hexdigest())
+def _describe_replaced(replaced: StoredCertificate, why: str) -> Replacement:
+    dcc_sha256 = hashlib.sha256(replaced.issued.dcc).hexdigest()
+    return Replacement(replaced.issued.number, why, dcc_sha256, replaced.withdrawn)
 
 
 def number_certificate(prefix: str, run: str, earlier: int) -> str:

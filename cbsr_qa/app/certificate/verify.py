@@ -147,8 +147,8 @@ class _Check:
             if self.record is None and (database is not None or self.public_key is None):
                 unknown = f"{store.shown} has no certificate {self.number or 'of this file'}"
                 yield unknown if self.public_key else f"{unknown}{_OR_PIN}"
-        if self.record is not None and self.record.withdrawal is not None:
-            yield f"certificate {self.number} was {self.record.withdrawal.words}"
+        if self.record is not None and self.record.withdrawals:
+            yield f"certificate {self.number} was {self.record.withdrawn}"
 
     def find_digest_problems(self, sha256: str) -> Iterator[str]:
         """Yield where the file is neither page nor XML of the certificate."""

@@ -37,7 +37,7 @@ class ListedCertificate:
 
     @classmethod
     def from_stored(cls, stored: StoredCertificate) -> "ListedCertificate":
-        issued, withdrawal = stored.issued, stored.withdrawal
+        issued = stored.issued
         return cls(
             issued.number,
             stored.serial,
@@ -45,7 +45,7 @@ class ListedCertificate:
             issued.issued_at,
             issued.valid_until,
             issued.replaces,
-            None if withdrawal is None else withdrawal.words,
+            stored.withdrawn or None,
         )
 
 
@@ -87,7 +87,7 @@ def revoke_certificate(
     ConfigError
         If the reason is missing, or it or the name cannot be used.
     StoreError
-        If there is no such certificate, it does not stand, or its run was altered.
+        If there is no such certificate, it does not stand, or its run was altered or begun in another database.
     """
     if not why.strip():
         raise ConfigError(
@@ -105,7 +105,7 @@ def copy_certificate(number: str, folder: Path, *, database: str | None = None) 
         stored = store.certificates.load(number)
     with write_files(folder, number, list_contents(stored.issued)) as paths:
         written = WrittenFiles(tuple(paths.values()), 1)
-    warnings = [] if stored.withdrawal is None else [f"it was {stored.withdrawal.words}"]
+    warnings = [f"it was {stored.withdrawn}"] if stored.withdrawals else []
     return answer(
         written, f"certificate {number} written again", printed=[("Folder", str(folder))], warnings=warnings
     )
@@ -138,15 +138,15 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
 
 def _list_withdrawn(store: Repository, certificates: Sequence[StoredCertificate]) -> tuple[Withdrawn, ...]:
     """Return the withdrawn certificates; the calibration is named where no other certificate of it stands."""
-    standing = {one.issued.calibration for one in certificates if one.withdrawal is None}
+    standing = {one.issued.calibration for one in certificates if not one.withdrawals}
     return tuple(
         Withdrawn(
             one.issued.number,
             "" if one.issued.calibration in standing else _digest(store, one.issued.calibration),
-            one.withdrawal.words,
+            one.withdrawn,
         )
         for one in certificates
-        if one.withdrawal is not None
+        if one.withdrawals
     )
 
 

@@ -51,8 +51,22 @@ class CertificateWithdrawal:
 
 @dataclass(frozen=True, slots=True)
 class StoredCertificate:
-    """A certificate with the serial number of its sensor, and its withdrawal; None while it stands."""
+    """A certificate with the serial number of its sensor.
+
+    Parameters
+    ----------
+    withdrawals : none while it stands; two if it was revoked and then replaced.
+    """
 
     issued: IssuedCertificate
     serial: str
-    withdrawal: CertificateWithdrawal | None
+    withdrawals: tuple[CertificateWithdrawal, ...]
+
+    @property
+    def withdrawn(self) -> str:
+        """What became of the certificate, in words; empty while it stands."""
+        return "; ".join(withdrawal.words for withdrawal in self.withdrawals)
+
+    @property
+    def is_replaced(self) -> bool:
+        return any(withdrawal.replaced_by is not None for withdrawal in self.withdrawals)

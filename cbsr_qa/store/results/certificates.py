@@ -13,6 +13,7 @@ from cbsr_qa.store.chain.check import check_run
 from cbsr_qa.store.chain.links import add_rows, chain_head
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
+from cbsr_qa.store.runs.begun import check_begun_here
 from cbsr_qa.store.tables.results import AnalysisRow, CertificateRow, CertificateWithdrawalRow
 from cbsr_qa.store.tables.runs import RunRow
 
@@ -37,6 +38,19 @@ class Certificates:
         with reading(self._engine) as connection:
             return connection.scalar(query) or 0
 
+    def check_allowed(self, run: str, replaces: str | None) -> StoredCertificate | None:
+        """Check whether a certificate of a run may be issued here; return the one that it replaces, None without.
+
+        Raises
+        ------
+        StoreError
+            If the run, or that of the replaced one, was begun in another database: numbers are counted there; the
+            replaced one is not here, was altered or replaced already, or is of another sensor; or the latest
+            certificate of the run is not the replaced one, and stands or was revoked.
+        """
+        with reading(self._engine) as connection:
+            return _read_replaced(connection, run, replaces)
+
     def save(self, issued: IssuedCertificate, *, checked_link: str = "") -> None:
         """Store a certificate, and the withdrawal of the one that it replaces, in one transaction.
 
@@ -48,15 +62,13 @@ class Certificates:
         Raises
         ------
         StoreError
-            If its run or that of the replaced one was altered, the replaced one does not stand or is of another
-            sensor, or another certificate of the run stands; nothing is stored then.
+            If its run or that of the replaced one was altered, or as :meth:`check_allowed`; nothing is stored then.
         """
         certificate, withdrawal = self._new_id(), self._new_id()
         with writing(self._engine) as connection:
             if not checked_link or chain_head(connection, issued.run) != checked_link:
                 check_run(connection, issued.run)
-            replaced = None if issued.replaces is None else _read_standing(connection, issued.replaces)
-            _check_replacement(connection, issued, replaced)
+            replaced = _read_replaced(connection, issued.run, issued.replaces)
             digests = {"html_sha256": _sha256(issued.html), "dcc_sha256": _sha256(issued.dcc)}
             row = row_of(CertificateRow, issued, certificate=certificate, **digests)
             add_rows(connection, issued.run, CertificateRow, [row])
@@ -69,11 +81,14 @@ class Certificates:
         Raises
         ------
         StoreError
-            If there is no such certificate, it does not stand, or its run was altered.
+            If there is no such certificate, it does not stand, or its run was altered or begun in another database.
         """
         withdrawal = self._new_id()
         with writing(self._engine) as connection:
-            stored = _read_standing(connection, number)
+            stored = _load(connection, number)
+            check_begun_here(connection, stored.issued.run)
+            if stored.withdrawals:
+                raise StoreError(f"certificate {number} does not stand: it was {stored.withdrawn}")
             check_run(connection, stored.issued.run)
             self._withdraw(connection, stored, withdrawal, None, operator, why)
         return self.load(number)
@@ -128,27 +143,25 @@ def check_documents(rows: Iterable[Any]) -> None:
                 )
 
 
-def _check_replacement(connection: Connection, issued: IssuedCertificate, replaced: StoredCertificate | None) -> None:
-    serial = connection.scalar(select(RunRow.serial).where(RunRow.run == issued.run))
-    if replaced is not None and replaced.serial != serial:
-        raise StoreError(f"certificate {issued.replaces} is of sensor {replaced.serial}, not of {serial}")
-    withdrawn = select(CertificateWithdrawalRow.number)
-    standing = select(CertificateRow.number).where(
-        CertificateRow.run == issued.run, CertificateRow.number.not_in(withdrawn)
-    )
-    for number in connection.scalars(standing):
-        if number != issued.replaces:
-            raise StoreError(
-                f"certificate {number} of this run stands",
-                remedy="--replaces NUMBER --reason TEXT issues one in its place",
-            )
-
-
-def _read_standing(connection: Connection, number: str) -> StoredCertificate:
-    stored = _load(connection, number)
-    if stored.withdrawal is not None:
-        raise StoreError(f"certificate {number} does not stand: it was {stored.withdrawal.words}")
-    return stored
+def _read_replaced(connection: Connection, run: str, replaces: str | None) -> StoredCertificate | None:
+    check_begun_here(connection, run)
+    replaced = None if replaces is None else _load(connection, replaces)
+    if replaced is not None:
+        check_begun_here(connection, replaced.issued.run)
+        if replaced.is_replaced:
+            raise StoreError(f"certificate {replaces} does not stand: it was {replaced.withdrawn}")
+        serial = connection.scalar(select(RunRow.serial).where(RunRow.run == run))
+        if replaced.serial != serial:
+            raise StoreError(f"certificate {replaces} is of sensor {replaced.serial}, not of {serial}")
+    row = CertificateRow
+    newest = connection.scalar(select(row.number).where(row.run == run).order_by(row.certificate.desc()).limit(1))
+    if newest is not None and newest != replaces and not (earlier := _load(connection, newest)).is_replaced:
+        state = f"was {earlier.withdrawn}" if earlier.withdrawals else "stands"
+        raise StoreError(
+            f"certificate {newest} of this run {state}",
+            remedy="--replaces NUMBER --reason TEXT issues one in its place, which names it",
+        )
+    return replaced
 
 
 def _load(connection: Connection, number: str) -> StoredCertificate:
@@ -168,11 +181,10 @@ def _find(connection: Connection, number: str) -> StoredCertificate | None:
     stored: Any = connection.execute(query.where(row.number == number)).one()
     check_documents([stored])
     later = select(*withdrawn.__table__.columns).where(withdrawn.number == number).order_by(withdrawn.withdrawal)
-    withdrawal = connection.execute(later.limit(1)).one_or_none()
     return StoredCertificate(
         convert_row(IssuedCertificate, stored),
         stored.serial,
-        None if withdrawal is None else convert_row(CertificateWithdrawal, withdrawal),
+        tuple(convert_row(CertificateWithdrawal, one) for one in connection.execute(later)),
     )
 
 

@@ -11,6 +11,7 @@ from sqlalchemy import BigInteger, Connection, and_, cast, exists, func, insert,
 from sqlalchemy.orm import aliased
 from sqlalchemy.types import NullType
 
+from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.chain.links import chain_head, take_turns
 from cbsr_qa.store.odd_rows import keep_odd_text
 from cbsr_qa.store.tables.records import LinkRow
@@ -72,6 +73,16 @@ def latest_begun(connection: Connection) -> str | None:
     """Return the run that was begun last in this database; None where none was."""
     newest = _newest(connection)
     return None if newest is None else newest.run
+
+
+def check_begun_here(connection: Connection, run: str) -> None:
+    """Check that a run was begun in this database. StoreError names the station of one that was sent here."""
+    if connection.scalar(select(RunBegunRow.number).where(RunBegunRow.run == run)) is None:
+        station = connection.scalar(select(RunRow.station).where(RunRow.run == run))
+        raise StoreError(
+            f"run {run} was begun in another database, of station {station!r}, and sent here",
+            remedy="issue and revoke its certificates in that one; db sync sends them here",
+        )
 
 
 def note_begun(connection: Connection, run: str) -> None:

@@ -211,10 +211,22 @@ def test_a_revoked_certificate_is_named_by_database_list_and_runtime(place, caps
 
 
 @REST
-def test_a_revoked_certificate_may_be_followed_by_another_of_the_run(place):
+def test_a_revoked_certificate_is_followed_by_one_that_names_it_with_both_facts(place):
     first = place.certify("S-1", "--to", "out")
-    place.certify("revoke", first["number"], "--reason", "wrong customer")
-    assert place.certify("S-1", "--to", "out")["number"] == f"{first['number']}-R1"
+    place.certify("revoke", first["number"], "--reason", "wrong customer", "--by", "Zoë")
+    fresh = place.certify("S-1", "--to", "out", code=2)["refused"]
+    assert f"certificate {first['number']} of this run was revoked on" in fresh["reason"]
+    assert "--replaces" in fresh["remedy"]
+    second = place.certify("S-1", "--to", "out", "--replaces", first["number"], "--reason", "right customer")
+    assert second["number"] == f"{first['number']}-R1"
+    for file in (second["html"], second["dcc"]):
+        text = (place.folder / file).read_text()
+        assert re.search(
+            f"replaces certificate {first['number']}, which was revoked on .* by Zoë: wrong customer", text
+        )
+        assert "Reason of the replacement: right customer" in text
+    why = place.certify("verify", first["html"], code=1)["why"]
+    assert re.search("was revoked on .*wrong customer; replaced by certificate .*-R1 on .*right customer", why)
     assert place.certify("revoke", first["number"], "--reason", "again", code=2)["refused"]["reason"].startswith(
         f"certificate {first['number']} does not stand"
     )
