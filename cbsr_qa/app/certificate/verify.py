@@ -9,7 +9,13 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.certificate.files import SIGNATURE
-from cbsr_qa.calibration.file.certified import CertificateSeal, check_sealed, read_seal, read_withdrawn
+from cbsr_qa.calibration.file.certified import (
+    CertificateSeal,
+    check_sealed,
+    find_clock_problem,
+    read_seal,
+    read_withdrawn,
+)
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import CalibrationError, StoreError
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
@@ -17,6 +23,7 @@ from cbsr_qa.domain.results.report import CommandOutcome
 from cbsr_qa.domain.results.signature import fingerprint
 from cbsr_qa.report.page import answer
 from cbsr_qa.store.opening import open_existing, open_store
+from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.foreign import read_foreign
 
 _MOST_BYTES: Final = 2**24
@@ -30,7 +37,8 @@ _NOT_PINNED: Final = (
 )
 _OR_PIN: Final = "; --public-key FILE checks it by the key of its laboratory alone"
 _NOT_LOOKED_UP: Final = (
-    "not looked up in the database of the laboratory: whether it was replaced or revoked is not known"
+    "not looked up in the database of the laboratory: whether it was replaced or revoked, or its run altered, is not"
+    " known"
 )
 
 
@@ -44,7 +52,8 @@ class VerifiedCertificate:
     number : of the certificate; None if the file states none.
     signed_by : fingerprint of the key whose signature fits; None if none was found to fit.
     pinned : whether that is the key that was asked for.
-    recorded : whether the database has this file of this certificate.
+    recorded : whether the database has this certificate, and its run with every frame is as it was stored; rows that
+        were removed from the end of a run together with their links are not noticed.
     valid_until : None if no validity is stated, or nothing is known of it.
     """
 
@@ -141,7 +150,10 @@ class _Check:
         with store:
             try:
                 self.record = None if self.number is None else store.certificates.find(self.number)
+                if self.record is not None:
+                    yield from _find_run_problems(store, self.record)
             except StoreError as error:
+                self.record = None
                 yield error.reason
                 return
             if self.record is None and (database is not None or self.public_key is None):
@@ -160,6 +172,10 @@ class _Check:
             yield "the file was changed since it was issued: its SHA-256 is another one"
 
     def find_validity_problems(self) -> Iterator[str]:
+        signed_at = "" if self.seal is None else self.seal.signed_at
+        issued_at = signed_at if self.record is None else self.record.issued.issued_at.isoformat()
+        if issued_at and (problem := find_clock_problem(issued_at, self.today)):
+            yield f"it {problem}"
         if self.valid_until is not None and date.fromisoformat(self.valid_until) < self.today:
             yield f"it lapsed: it was valid until {self.valid_until}"
 
@@ -180,6 +196,14 @@ class _Check:
         if self.record is not None:
             return self.record.issued.valid_until
         return None if self.seal is None else self.seal.valid_until
+
+
+def _find_run_problems(store: Repository, record: StoredCertificate) -> Iterator[str]:
+    """Read the run of a certificate with every frame, and its calibration. StoreError if they were altered."""
+    chain = store.runs.load(record.issued.run).chain
+    store.calibrations.load_file(record.issued.calibration)
+    if not chain.chained:
+        yield f"run {record.issued.run}: {chain.words}"
 
 
 def _answer(check: _Check, why: str, warnings: list[str]) -> CommandOutcome[VerifiedCertificate]:

@@ -136,6 +136,14 @@ def check_sealed(path: Path, content: CertificateSeal | WithdrawnList, key: str 
         raise CalibrationError(f"{path}: signed by {signature.words}, not by the pinned key {fingerprint(pinned)}")
 
 
+def find_clock_problem(signed_at: str, today: date) -> str:
+    """Return what is odd about a day that is before a signature was made; empty if it is not."""
+    day = datetime.fromisoformat(signed_at).date()
+    if day <= today:
+        return ""
+    return f"was signed on {day}, and by the clock of this computer it is {today}: one of them is wrong"
+
+
 def check_use(
     path: Path,
     issued: Issued,
@@ -185,8 +193,8 @@ def check_certified(
     Raises
     ------
     CalibrationError
-        If a file is damaged or not signed as required, the certificate is of another calibration, has lapsed, or was
-        withdrawn.
+        If a file is damaged, not signed as required or signed after ``today``, the certificate is of another
+        calibration, has lapsed, or was withdrawn.
     RefusedError
         If the key cannot be used.
     """
@@ -195,6 +203,7 @@ def check_certified(
         seal = read_seal(Path(certificate))
         check_sealed(Path(certificate), seal, public_key)
         number = seal.number
+        _check_clock(f"certificate {number}", seal.signed_at, today)
         if seal.calibration_digest != digest:
             raise CalibrationError(
                 f"certificate {number} is of another calibration, with SHA-256 {seal.calibration_digest}"
@@ -207,9 +216,15 @@ def check_certified(
     if withdrawn is not None:
         listed = read_withdrawn(Path(withdrawn))
         check_sealed(Path(withdrawn), listed, public_key)
+        _check_clock(str(withdrawn), listed.signed_at, today)
         entry = listed.find(number, digest)
         if entry is not None:
             raise CalibrationError(f"certificate {entry.number} of this calibration was {entry.words}")
+
+
+def _check_clock(name: str, signed_at: str, today: date) -> None:
+    if problem := find_clock_problem(signed_at, today):
+        raise CalibrationError(f"{name} {problem}", remedy="set the clock: whether it lapsed is not known")
 
 
 def _read(path: Path, kind: type[_Kind]) -> _Kind:
@@ -222,6 +237,8 @@ def _read(path: Path, kind: type[_Kind]) -> _Kind:
             raise ValueError(odd)
         if isinstance(filled, CertificateSeal) and filled.valid_until is not None:
             date.fromisoformat(filled.valid_until)
+        if filled.signed_at:
+            datetime.fromisoformat(filled.signed_at)
     except (OSError, ValueError, TypeError, KeyError) as error:
         why = getattr(error, "strerror", None) or str(error)
         raise CalibrationError(f"{path} cannot be read: {why}", remedy=_AGAIN) from error

@@ -160,6 +160,35 @@ def test_a_certificate_lapses(place):
 
 
 @REST
+@pytest.mark.parametrize(
+    ("statement", "said"),
+    [
+        ("update frame_blocks set voltages = cast(x'01' || substr(voltages, 2) as blob)", "frame"),
+        ("update sample_blocks set sample_values = cast(x'01' || substr(sample_values, 2) as blob)", "sample"),
+        ("update loads set x_mm = x_mm + 1", "loads .* was changed"),
+        ("update calibrations set file = zeroblob(length(file))", "calibration"),
+        ("update runs set chain = null", "states no chain"),
+    ],
+)
+def test_a_certificate_does_not_hold_if_its_run_was_altered(place, statement, said):
+    made = place.certify("S-1", "--to", "out")
+    change(place.database, statement)
+    verified = place.certify("verify", made["html"], code=1)
+    assert re.search(said, verified["why"]), verified["why"]
+    assert not verified["recorded"]
+
+
+@REST
+def test_a_clock_before_the_day_of_issue_is_named(place):
+    new_key(place.folder / "a.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    path, early = place.folder / made["html"], date(1970, 1, 1)
+    for database in (str(place.database), None):
+        why = verify_certificate(path, database=database, today=early).result.why
+        assert re.fullmatch("it was signed on .*, and by the clock of this computer it is 1970-01-01: .*", why)
+
+
+@REST
 def test_a_replacement_names_the_old_one_which_no_longer_holds(place):
     old = place.certify("S-1", "--to", "out", "--customer", "Robots")
     stands = place.certify("S-1", "--to", "out", code=2)["refused"]

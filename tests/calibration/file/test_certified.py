@@ -2,7 +2,7 @@
 
 import json
 from dataclasses import replace
-from datetime import date
+from datetime import date, timedelta
 
 import pytest
 from calibration_samples import sparse_calibration
@@ -88,6 +88,15 @@ def test_a_certificate_lapses_after_its_last_day(seal):
         check(seal, today=LATE)
 
 
+def test_a_clock_before_the_signature_is_named(seal, revoked):
+    """A computer without a battery begins in 1970: nothing would lapse there."""
+    early = AT.date() - timedelta(days=1)
+    for certificate, withdrawn, name in ((seal, None, "certificate SSW-1"), (None, revoked, str(revoked))):
+        with pytest.raises(CalibrationError, match=f"{name} was signed on {AT.date()}, and by the clock .* {early}"):
+            check(certificate, withdrawn, digest=DIGEST if certificate else 64 * "d", today=early)
+    check(seal, today=AT.date())
+
+
 def test_without_a_stated_validity_nothing_lapses(tmp_path, key):
     path = written(tmp_path, "s.json", sign(replace(SEAL, valid_until=None), signing_key(key), AT))
     check(path, today=date(2999, 1, 1))
@@ -132,8 +141,10 @@ def test_other_files_are_refused_by_name(tmp_path, text):
         read_seal(tmp_path / "none.json")
 
 
-def test_a_validity_that_is_no_date_is_refused(seal):
-    seal.write_text(seal.read_text().replace("2027-11-21", "2027-13-21"))
+@pytest.mark.parametrize(("day", "odd"), [("2027-11-21", "2027-13-21"), (AT.date().isoformat(), "2026-13-13")])
+def test_a_day_that_is_no_date_is_refused(seal, day, odd):
+    assert day in seal.read_text()
+    seal.write_text(seal.read_text().replace(day, odd))
     with pytest.raises(CalibrationError, match="cannot be read"):
         read_seal(seal)
 
