@@ -146,6 +146,29 @@ def stop(
     announce("the bench is made safe at once" if at_once else "the run stops, and the head is lifted")
 
 
+@command("station confirm")
+def confirm(
+    station: Named,
+    by: Annotated[str, typer.Option(metavar="NAME", help="Who has looked at the bench.")],
+    database: Database = None,
+) -> None:
+    """Confirm that the bench is safe after an emergency stop: before that, no run begins at its station."""
+    from cbsr_qa.app.run.control import confirm_bench, find_unconfirmed_stop
+    from cbsr_qa.config.paths import database_url
+    from cbsr_qa.config.serials import validate_operator
+
+    if not validate_operator(by):
+        raise ConfigError("--by is empty", remedy="give the name of the person who has looked at the bench")
+    stopped = find_unconfirmed_stop(station, database_url(database))
+    if stopped is None:
+        announce(
+            f"nothing to confirm: no emergency stop ended the latest run at station {station}, or it is confirmed"
+        )
+        return
+    confirm_bench(*stopped, station, by)
+    announce(f"{by} has confirmed that the bench of station {station} is safe after run {stopped[0]}")
+
+
 def _request(station: str, do: str, by: str) -> None:
     from cbsr_qa.station.control.client import RunChannel
 

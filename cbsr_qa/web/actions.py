@@ -1,4 +1,4 @@
-"""Actions of an operator: check a sensor, start, resume, confirm the bench, pause, continue, stop, answer.
+"""Actions of an operator: check a sensor, start, cancel, resume, confirm the bench, pause, continue, stop, answer.
 
 Every text of a form is checked by the rules of the command line before anything is done with it.
 """
@@ -12,9 +12,10 @@ from typing import Any
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
+from cbsr_qa.app.run.control import confirm_bench
 from cbsr_qa.config.serials import validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import CbsrError, RefusedError
-from cbsr_qa.web.confirmations import confirm_bench, needs_confirmation
+from cbsr_qa.web.confirmations import needs_confirmation
 from cbsr_qa.web.gate import check_pin, gate_view, has_pin, read_latest
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
@@ -55,6 +56,7 @@ class Actions:
             "check": self.check,
             "leave": self.leave,
             "start": self.start,
+            "cancel": self.cancel,
             "resume": self.resume,
             "confirm": self.confirm,
             "answer": self.answer,
@@ -132,6 +134,17 @@ class Actions:
         await self._begin(station, arguments, start_form.serial, start_form.pin)
         return _json_answer(words=text("station.started", serial=start_form.serial), passes=True)
 
+    async def cancel(self, station: str, form: dict[str, str]) -> Response:
+        """End the process of a run that is starting; a run that has begun meanwhile stops in order."""
+        watch = self._line.stations[station]
+        started, by = watch.started, self._asker(station, form)
+        if started is None or started.process is None or started.ended is not None:
+            raise RefusedError(text("control.no_run"))
+        watch.started = started.cancel(by)
+        LOG.info("%s: the start of %s was cancelled by %s", station, started.what, by)
+        self._line.wake(station)
+        return _json_answer(words=text("control.cancelled", serial=started.what), passes=True)
+
     async def resume(self, station: str, form: dict[str, str]) -> Response:
         """Resume the latest run of the station."""
         watch = self._line.stations[station]
@@ -156,7 +169,8 @@ class Actions:
         if look is None or look.run != form.get("run"):
             raise RefusedError(text("problem.no_run"))
         if needs_confirmation(look):
-            await run_in_threadpool(confirm_bench, look, by)
+            await run_in_threadpool(confirm_bench, look.run, look.session_at, station, by)
+            LOG.info("%s: %s confirmed that the bench is safe after run %s", station, by, look.run)
         self._line.wake(station)
         return _json_answer(words=text("confirm.done", by=by), passes=True)
 

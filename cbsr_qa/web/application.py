@@ -22,7 +22,7 @@ from cbsr_qa.web.guard import DRAWINGS_POLICY, LOG, Access, Guard, Right, client
 from cbsr_qa.web.guesses import TooManyGuessesError
 from cbsr_qa.web.line import MAX_READ_ONLY_VIEWERS, MAX_VIEWERS, Line, Viewer
 from cbsr_qa.web.pages import Pages, Part, picture_address
-from cbsr_qa.web.shift import search_page, sensor_page, shift_page
+from cbsr_qa.web.shift import run_page, search_page, sensor_page, shift_page
 from cbsr_qa.web.streams import EventStream
 from cbsr_qa.web.texts import refusal_words, text
 
@@ -64,6 +64,7 @@ def make_application(line: Line, access: Access) -> Guard:
         (f"{station}/events", site.station_events),
         (f"{station}/image/{{run}}/{{frame}}", site.image),
         (f"{station}/prompt/{{number:int}}", site.prompt),
+        ("/runs/{run}", site.run),
         ("/runs/{run}/report", site.report),
         ("/runs/{run}/calibration", site.calibration),
         ("/shift", site.shift),
@@ -168,6 +169,10 @@ class Site:
     async def sensor(self, request: Request) -> Response:
         view = await self._run_in_thread(request, sensor_page, self._line.database, request.path_params["serial"])
         return HTMLResponse(self._pages.page("sensor", control=_controls(request), **view))
+
+    async def run(self, request: Request) -> Response:
+        view = await self._run_in_thread(request, run_page, self._line.database, _run(request))
+        return HTMLResponse(self._pages.page("run", control=_controls(request), **view))
 
     async def search(self, request: Request) -> Response:
         wanted = request.query_params.get("q", "").strip()

@@ -100,6 +100,7 @@ class SheetDrawing:
     outline : path of its edge.
     x, y, width, height : box around the sheet, which an image of it fills [mm].
     place_r : radius of the mark of a place.
+    touch_r : radius around a place within which no other place is nearer; for fingers.
     """
 
     view_box: str
@@ -112,6 +113,7 @@ class SheetDrawing:
     electrode_r: float
     head_r: float
     place_r: float
+    touch_r: float
 
     @classmethod
     def from_sensor_type(
@@ -136,6 +138,7 @@ class SheetDrawing:
             electrode_r=round(0.012 * max(width, height), 2),
             head_r=round(indenter.radius_mm, 2),
             place_r=round(min([_PLACE_R * max(width, height), *nearest_mm]), 2),
+            touch_r=round(min([3 * _PLACE_R * max(width, height), *nearest_mm]), 2),
         )
 
 

@@ -62,6 +62,11 @@ class Line:
             one.look.run for one in snapshots if one is not None and one.look is not None and one.mode.live
         )
 
+    def runs_to_resume(self) -> dict[str, str]:
+        """Return the runs that can be resumed, with their stations: only of a latest run may the sensor lie there."""
+        snapshots = [one.snapshot for one in self.stations.values() if one.snapshot is not None]
+        return {one.look.run: one.station for one in snapshots if one.look is not None and one.resumable}
+
     async def open(self) -> None:
         """Begin to watch."""
         self._loop = asyncio.get_running_loop()

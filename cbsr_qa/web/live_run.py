@@ -51,6 +51,14 @@ class Place:
 
 
 @dataclass(frozen=True, slots=True, eq=False)
+class DrawnPlaces:
+    """A sheet from above with the planned places of its grid, each once."""
+
+    sheet: SheetDrawing
+    loads: tuple[Load, ...]
+
+
+@dataclass(frozen=True, slots=True, eq=False)
 class LiveView:
     """Content of a page on a run in progress.
 
@@ -168,6 +176,11 @@ class LiveRun:
             silent_s=None if self._frame_at is None else monotonic() - self._frame_at,
             no_image=self._no_image,
         )
+
+    def draw_places(self) -> DrawnPlaces:
+        """Return the sheet with its planned places; reads nothing."""
+        load_by_label = {press.load.label: press.load for _, _, press in self._planned}
+        return DrawnPlaces(self._sheet, tuple(load_by_label.values()))
 
     def _places(self, current: int, pressed: str) -> list[Place]:
         return [

@@ -9,6 +9,8 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.report.tables import limit_text, value_cell
 from cbsr_qa.system.clock import name_zones, write_local_time
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
@@ -164,6 +166,17 @@ def picture_address(snapshot: Snapshot) -> str:
     return f"{_base(snapshot.station)}/image/{snapshot.look.run}/{snapshot.live.frame}"
 
 
+def report_address(run: str, measurement: Measurement) -> str:
+    """Return the address of a limit's row in a report; a browser without text fragments opens the report.
+
+    A row begins with the label and the phase; where loads are told apart by their strain, the label alone is found.
+    """
+    label, phase = (
+        quote(words, safe="").replace("-", "%2D") for words in (measurement.label, measurement.phase or "whole run")
+    )
+    return f"/runs/{run}/report#:~:text={label},-{phase}&text={label}"
+
+
 def number(value: float, digits: int) -> str:
     """Format a value with a fixed number of digits, without a negative zero."""
     formatted = f"{value:.{digits}f}"
@@ -211,6 +224,9 @@ def _environment() -> Environment:
         "error_trace": error_trace,
         "picture_address": picture_address,
         "number": number,
+        "limit_text": limit_text,
+        "value_cell": value_cell,
+        "report_address": report_address,
     }
     return environment
 
@@ -240,6 +256,7 @@ class Pages:
             "stations": list(self._line.stations),
             "trouble": self._line.trouble,
             "in_progress": self._line.runs_in_progress(),
+            "to_resume": self._line.runs_to_resume(),
         }
         return self._environment.get_template(f"{template}.html.j2").render(
             shared_names | {"control": control, "here": here, "stream": stream, "keys": "{}"} | names

@@ -5,11 +5,11 @@ import shutil
 import subprocess
 from collections.abc import Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from functools import cache
 from pathlib import Path
-from typing import Final
+from typing import Final, Self
 
 from cbsr_qa.app.command_hints import build_own_command
 from cbsr_qa.config.paths import var_folder, writable_folder
@@ -32,17 +32,25 @@ class Started:
     process : None if another process of the page started it, before a restart.
     what : serial number or run, for people.
     log : file with the output of ``cbsr-qa run``.
+    cancelled_by : who ended the process before its run had begun; empty for nobody.
     """
 
     process: "subprocess.Popen[bytes] | None"
     what: str
     log: Path
     at: datetime
+    cancelled_by: str = ""
 
     @property
     def ended(self) -> int | None:
         """Exit code once it has ended; None before, and for a process of an earlier server."""
         return None if self.process is None else self.process.poll()
+
+    def cancel(self, by: str) -> Self:
+        """Have the process end, at once before its run has begun, in order afterwards; return who asked for it."""
+        if self.process is not None:
+            self.process.terminate()
+        return replace(self, cancelled_by=by)
 
     def describe_refusal(self) -> str:
         """Return why the process ended without a run; empty if it did not, as far as is known."""

@@ -1,4 +1,4 @@
-"""Content of the views of a shift, of a sensor, and of a search for sensors."""
+"""Content of the views of a shift, of a sensor, of a run, and of a search for sensors."""
 
 from base64 import b64encode
 from collections import Counter
@@ -165,6 +165,15 @@ def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
     if not runs:
         raise HTTPException(404, text("problem.no_sensor", serial=serial))
     return {"serial": serial, "runs": tuple(reversed(runs)), "altered": len(altered)}
+
+
+def run_page(database: str | None, run: str) -> dict[str, Any]:
+    """Return the content of the view of a run."""
+    with open_store(database_url(database)) as store:
+        runs = store.lists.read_named([run])
+    if not runs:
+        raise HTTPException(404, text("problem.no_run"))
+    return {"run": runs[0]}
 
 
 def search_page(database: str | None, wanted: str) -> dict[str, Any]:

@@ -7,9 +7,10 @@ from time import monotonic
 from typing import Any
 
 from cbsr_qa.domain.plan.limits import FailureCode
+from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.store.runs.live import RunLook
-from cbsr_qa.web.live_run import LiveView
+from cbsr_qa.web.live_run import DrawnPlaces, LiveView
 
 
 class Mode(StrEnum):
@@ -87,10 +88,12 @@ class FailedLimit:
     ----------
     words : value and limit; empty for a run that was cut off.
     code : failure code with what it means and what to do with the sensor; None without one.
+    measurement : the judged measurement; None for a run that was cut off.
     """
 
     words: str
     code: FailureCode | None = None
+    measurement: Measurement | None = None
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -107,6 +110,7 @@ class Snapshot:
     refused : reason why the run that was started last never began; empty otherwise.
     trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
     health, healthy : state of the station in words, and whether it is in order.
+    drawn : sheet and places of the latest run, if a limit of a place decided its outcome.
     """
 
     station: str
@@ -121,6 +125,7 @@ class Snapshot:
     trouble: str
     health: str
     healthy: bool
+    drawn: DrawnPlaces | None = None
 
     @property
     def serial(self) -> str:

@@ -2,7 +2,7 @@
 
 import threading
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import closing
+from contextlib import closing, suppress
 from time import monotonic
 from typing import Final
 
@@ -19,7 +19,7 @@ from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.confirmations import needs_confirmation
 from cbsr_qa.web.guard import LOG
-from cbsr_qa.web.live_run import LiveRun
+from cbsr_qa.web.live_run import DrawnPlaces, LiveRun
 from cbsr_qa.web.processes import Started, last_start
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
@@ -70,6 +70,7 @@ class StationWatch:
         self._begun_s = monotonic()
         self._failed: tuple[FailedLimit, ...] = ()
         self._failed_before: RunLook | None = None
+        self._drawn: DrawnPlaces | None = None
 
     @property
     def busy(self) -> bool:
@@ -111,7 +112,7 @@ class StationWatch:
         if now_s < self._next_s or not (self._due or now_s >= self._next_s + _QUIET_S - _IMAGE_S):
             return False
         self._due, self._next_s = False, now_s + _IMAGE_S
-        read_trouble = self._read(store, now_s)
+        read_trouble = self._read(store, plugins, now_s)
         control, started = self.channel.control, self.started
         holder = station_holder(self.served.name)
         if self.snapshot is None and holder is not None and control is None and now_s < self._begun_s + _ANSWERS_S:
@@ -139,17 +140,18 @@ class StationWatch:
             trouble=trouble,
             health=self._health,
             healthy=self._healthy,
+            drawn=self._drawn,
         )
         return True
 
-    def _read(self, store: Repository, now_s: float) -> str:
+    def _read(self, store: Repository, plugins: Plugins, now_s: float) -> str:
         """Read the latest run and the latest station check; return the problem, empty without one."""
         control, look = self.channel.control, self.look
         has_read_its_run = control is not None and look is not None and control.run == look.run
         try:
             if not has_read_its_run or now_s >= self._look_s:
                 self._look_s = now_s + _END_S
-                self._take_look(store, store.live.find_latest(self.served.name))
+                self._take_look(store, plugins, store.live.find_latest(self.served.name))
             self._look_after(store, now_s)
         except Exception as error:  # noqa: BLE001 - a run that cannot be read must not stop the watching of others
             self.failure = error
@@ -157,13 +159,16 @@ class StationWatch:
         self.failure = None
         return ""
 
-    def _take_look(self, store: Repository, look: RunLook | None) -> None:
-        """Keep the latest run, the limits that decided it, and the failure before it if it failed."""
+    def _take_look(self, store: Repository, plugins: Plugins, look: RunLook | None) -> None:
+        """Keep the latest run, the limits that decided it with their places, and the failure before a failure."""
         if look == self.look:
             return
-        self.look, self._failed, self._failed_before = look, (), None
+        self.look, self._failed, self._failed_before, self._drawn = look, (), None, None
         if look is not None and not look.altered:
             self._failed = tuple(_list_failed(store, look))
+            if any(limit.measurement is not None and limit.measurement.location for limit in self._failed):
+                with suppress(CbsrError):  # such as a plugin that is no longer installed: the words say it all
+                    self._drawn = LiveRun(store, plugins, look.run).draw_places()
         if look is not None and look.verdict is Outcome.FAIL:
             before = store.live.find_latest_of_sensor(look.serial, look.recipe, before=look.run)
             if before is not None and before.verdict is Outcome.FAIL:
@@ -194,8 +199,12 @@ class StationWatch:
     def _describe_refusal(self) -> str:
         """Return why the run that was started last never began."""
         started = self.started
-        words = "" if started is None or self._begun else started.describe_refusal()
-        if not words or started is None or started.process is not None:
+        if started is None or self._begun:
+            return ""
+        if started.cancelled_by and started.ended is not None:
+            return text("station.cancelled", by=started.cancelled_by)
+        words = started.describe_refusal()
+        if not words or started.process is not None:
             return words
         return f"{text('station.refused_at', when=write_local_time(started.at))}\n{words}"
 
@@ -225,7 +234,7 @@ def _list_failed(store: Repository, look: RunLook) -> Iterator[FailedLimit]:
         measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
         for measurement in rank_judged(measurements, look.outcome):
             codes = select_failure_codes(look.coded, look.outcome, str(look.end), [measurement.limit_key])
-            yield FailedLimit(describe_judgement(measurement), codes[0] if codes else None)
+            yield FailedLimit(describe_judgement(measurement), codes[0] if codes else None, measurement)
 
 
 class Watcher(threading.Thread):

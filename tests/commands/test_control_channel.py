@@ -194,6 +194,27 @@ def test_a_recipe_asks_with_a_picture_and_the_first_of_two_answers_counts(folder
     assert record.end_detail.startswith("by an emergency stop by Ada (remote), while ")
 
 
+@pytest.mark.rest
+def test_after_an_emergency_stop_no_run_begins_before_somebody_has_confirmed_the_bench(folder):
+    with running(folder, *BEGIN, "--serial", "S-1") as (_, channel):
+        until(lambda: pressing(channel))
+        cbsr_qa(folder, "station", "stop", STATION, "--at-once", "--by", "Ada")
+    run = latest_run(folder, "S-1")
+    for wanted in ([*BEGIN, "--serial", "S-2"], ["run", "--resume", run]):
+        said = refused(folder, *wanted)
+        assert f"an emergency stop ended run {run}, the latest at station {STATION}" in said
+        assert f"cbsr-qa station confirm {STATION} --by NAME" in said
+    assert "Missing option" in refused(folder, "station", "confirm", STATION)
+    assert "--by is empty" in refused(folder, "station", "confirm", STATION, "--by", "")
+    assert "nothing to confirm" in cbsr_qa(folder, "station", "confirm", "another", "--by", "Ada").stderr
+    assert "Ada has confirmed" in cbsr_qa(folder, "station", "confirm", STATION, "--by", "Ada").stderr
+    assert "nothing to confirm" in cbsr_qa(folder, "station", "confirm", STATION, "--by", "Ada").stderr
+    with running(folder, "run", "--resume", run) as (_, channel):
+        until(lambda: pressing(channel))
+        cbsr_qa(folder, "station", "stop", STATION, "--at-once", "--by", "Ada")
+    assert "an emergency stop ended" in refused(folder, "run", "--resume", run)  # this one nobody has confirmed
+
+
 def test_a_signal_goes_only_to_the_process_that_holds_the_lock(folder):
     with station_held(STATION, who="Ada", doing="nothing") as holder:
         assert station_holder(STATION) == holder

@@ -126,13 +126,38 @@ def _test_again(page, line):
     answer = page.request.post("/stations/bench-1/start", form=form, headers={"origin": line.address}).json()
     assert "Test again?" in dict(answer["parts"])["gate"]
     assert line.holder("bench-1") is None
-    page.keyboard.type("KEY-1")
-    page.keyboard.press("Enter")
+    page.goto("/sensors/KEY-1")
+    page.get_by_role("link", name="Test KEY-1 again at bench-1").click()
     page.get_by_role("button", name="Test KEY-1 again").click()
     expect(page.locator(".progress")).to_contain_text("Place")
     page.get_by_role("button", name="Stop", exact=True).click()
     page.get_by_role("button", name="Stop the run").click()
     expect(page.locator("#state .outcome")).to_have_text("Stopped")
+
+
+def _a_limit_is_explained(page):
+    """A place of the drawing opens its limit, with a way to its row in the report; a limit marks its place."""
+    first, second = page.locator(".failed details").all()
+    marks = page.locator("[data-mark]")
+    expect(marks).to_have_count(2)
+    place = second.get_attribute("data-place")
+    mark = page.locator(f"[data-mark='{place}']")
+    mark.click()
+    expect(second).to_have_attribute("open", "")
+    expect(mark).to_have_class("chosen")
+    expect(second.locator("dl")).to_contain_text("≥ 99 %")
+    expect(second.locator("dl")).to_contain_text(f"{place}, x ")
+    page.shot("verdict-explained")
+    _accessible(page)
+    first.locator("summary").click()
+    expect(mark).not_to_have_class("chosen")
+    expect(page.locator(".chosen")).to_have_attribute("data-mark", first.get_attribute("data-place"))
+    with page.context.expect_page() as opened:
+        first.get_by_role("link", name="Show in the report").click()
+    expect(
+        opened.value.locator("td", has_text=f"area overlap ({first.get_attribute('data-place')})").first
+    ).to_be_visible()
+    opened.value.close()
 
 
 @pytest.mark.rest
@@ -157,6 +182,7 @@ def test_a_failed_sensor_shows_every_failed_limit_the_worst_first_and_sounds_are
     expect(page.locator(".todo")).to_have_text("Put the sensor with those that failed.")
     page.shot("verdict-failed")
     _accessible(page)
+    _a_limit_is_explained(page)
     mute = page.get_by_role("button", name="Sound on")
     mute.click()
     expect(page.get_by_role("button", name="Sound off")).to_have_attribute("aria-pressed", "true")
@@ -318,6 +344,12 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     expect(page.locator(".todo")).not_to_contain_text("emergency")
     _reads_at_three_metres(page, "Stopped", "ASK-1")
     page.shot("stopped")
+    page.get_by_role("link", name="All runs of ASK-1").click()
+    expect(page.get_by_role("link", name="Test ASK-1 again at bench-1")).to_be_visible()
+    _accessible(page)
+    page.locator("td a[href^='/runs/']").first.click()
+    _accessible(page)
+    page.get_by_role("link", name="Resume ASK-1 at bench-2").click()
     page.get_by_role("button", name="Resume the run").click()
     expect(page.locator(".progress")).to_contain_text("Place")
     page.get_by_role("button", name="Emergency stop").click()
@@ -337,6 +369,18 @@ def test_prompts_pauses_a_dead_page_a_killed_run_and_a_stop(line, pages):
     expect(page.get_by_role("button", name="Resume the run")).to_be_visible()
     _shows(page, "Ready")
     page.shot("confirmed")
+
+
+@pytest.mark.rest
+def test_a_start_is_cancelled_before_a_run_has_begun(line, pages):
+    page = pages("/stations/bench-1")
+    _scan(page, "NOT-1", "five-places")
+    page.get_by_role("button", name="Cancel the start").click()
+    expect(page.locator("#refused")).to_contain_text("Its start was cancelled by")
+    page.shot("cancelled")
+    assert line.holder("bench-1") is None
+    page.goto("/search?q=NOT-1")
+    expect(page.locator("h1")).to_contain_text("No sensor has the serial number")
 
 
 @pytest.mark.rest

@@ -1,14 +1,20 @@
-"""A run as others see it: it holds its station, reports its state, and takes requests."""
+"""A run as others see it: it holds its station, reports its state, and takes requests.
+
+After an emergency stop no run begins at its station before somebody has confirmed that the bench is safe.
+"""
 
 from collections.abc import Callable, Collection, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import dataclass, field, replace
+from datetime import UTC, datetime
+from pathlib import Path
 from typing import Self
 
 from cbsr_qa.app.gate.request import GateRequest
 from cbsr_qa.app.run.console import RunConsole
 from cbsr_qa.config.merging import Configuration
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.config.paths import var_folder, writable_folder
+from cbsr_qa.domain.errors import AT_COMMAND_LINE, ConfigError, RefusedError
 from cbsr_qa.domain.plan.steps import Press
 from cbsr_qa.domain.run.run import RunEvent
 from cbsr_qa.station.control.desk import ControlDesk
@@ -18,6 +24,7 @@ from cbsr_qa.station.control.server import RunServer
 from cbsr_qa.station.control.status import RunStatus
 from cbsr_qa.station.interrupts import on_stderr
 from cbsr_qa.station.plan import LoadKey, Plan, schedule
+from cbsr_qa.store.opening import open_existing
 
 
 @dataclass(slots=True)
@@ -114,7 +121,45 @@ class Control:
 def open_control(
     configuration: Configuration, asked: GateRequest, console: RunConsole, run: str | None = None
 ) -> Iterator[Control]:
-    """Serve the control of a run while entered; see :meth:`Control.from_request` and :meth:`Control.serve`."""
+    """Serve the control of a run while entered; see :meth:`Control.from_request` and :meth:`Control.serve`.
+
+    RefusedError also if an emergency stop ended the latest run of the station, and nobody has confirmed the bench.
+    """
+    station = configuration.station.name
+    if (stopped := find_unconfirmed_stop(station, asked.database)) is not None:
+        raise RefusedError(
+            f"an emergency stop ended run {stopped[0]}, the latest at station {station}; nobody has confirmed since"
+            " that the bench is safe",
+            remedy="look at the head, the current source and the sensor, then confirm\n"
+            f"{AT_COMMAND_LINE}cbsr-qa station confirm {station} --by NAME",
+        )
     control = Control.from_request(configuration, asked, console, run)
     with control.serve():
         yield control
+
+
+def find_unconfirmed_stop(station: str, database: str) -> tuple[str, datetime] | None:
+    """Return run and begin of the latest session at a station if it was stopped at once and is not confirmed."""
+    with open_existing(database) or nullcontext() as store:
+        stopped = None if store is None else store.runs.find_emergency_stop(station)
+    return None if stopped is None or is_confirmed(*stopped) else stopped
+
+
+def is_confirmed(run: str, session_at: datetime) -> bool:
+    """Whether somebody has confirmed that the bench is safe after a session of a run."""
+    return _confirmation(run, session_at).exists()
+
+
+def confirm_bench(run: str, session_at: datetime, station: str, by: str) -> None:
+    """Store that the bench is safe after a session of a run, and who says so. ConfigError if that is impossible."""
+    file = _confirmation(run, session_at)
+    writable_folder(file.parent)
+    try:
+        file.write_text(f"{station}: {by}, {datetime.now(UTC):%Y-%m-%d %H:%M:%S} UTC\n", encoding="utf-8")
+    except OSError as error:
+        raise ConfigError(f"{file} cannot be written: {error.strerror or error}") from error
+
+
+def _confirmation(run: str, session_at: datetime) -> Path:
+    """Return the file that confirms a session: a run that is resumed may be stopped at once again."""
+    return var_folder() / "control" / "confirmed" / f"{run}-{session_at:%Y%m%dT%H%M%S%f}"

@@ -6,7 +6,7 @@ from datetime import datetime
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Result, Row, select
+from sqlalchemy import Connection, Engine, Result, Row, func, select
 from sqlalchemy.orm import InstrumentedAttribute
 
 from cbsr_qa.domain.errors import RefusedError, StoreError
@@ -17,7 +17,7 @@ from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, join_frames,
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.attendance import pauses_of, prompts_of
 from cbsr_qa.domain.run.run import PhaseRecord, RunIdentity, RunRecord, RunSession
-from cbsr_qa.domain.run.states import EndReason, ResultState
+from cbsr_qa.domain.run.states import EndReason, ResultState, was_emergency
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.chain.check import IDENTITY, check_run, unreadable
 from cbsr_qa.store.chain.links import chain_head, key_to_continue
@@ -203,6 +203,19 @@ class Runs:
         with reading(self._engine) as connection:
             _find_run(connection, run)
             return sessions_of(connection, run)[-1]
+
+    def find_emergency_stop(self, station: str) -> tuple[str, datetime] | None:
+        """Return the latest run of a station and when its latest session began, if that was stopped at once."""
+        with reading(self._engine) as connection:
+            latest = select(RunRow.run).where(RunRow.station == station).order_by(RunRow.run.desc()).limit(1)
+            run = connection.scalar(latest)
+            if run is None:
+                return None
+            state = current_state(connection, run)
+            if state.end != EndReason.ABORTED or not was_emergency(state.detail):
+                return None
+            began = select(func.max(RunStateRow.noted_at)).where(RunStateRow.run == run)
+            return run, connection.scalar(began) or _find_run(connection, run).started_at
 
     def read_result_state(self, run: str) -> ResultState:
         """Return what has come of a run. StoreError if it does not exist, or its last state is damaged."""

@@ -43,6 +43,22 @@ function put([id, html, key]) {
   else if (first && !isTyping() && !isHalfTyped() && !isStated(document.activeElement)) first.focus();
 }
 
+// A place of the drawing opens its limit, and a limit that is open marks its place.
+const LIMITS = "details[data-place]";
+document.addEventListener("click", (event) => {
+  const mark = event.target.closest?.("[data-mark]");
+  if (!mark) return;
+  event.preventDefault();
+  const limit = [...document.querySelectorAll(LIMITS)].find((one) => one.dataset.place === mark.dataset.mark);
+  for (let one = limit; one; one = one.parentElement.closest("details")) one.open = true;
+  limit?.scrollIntoView({ block: "nearest" });
+});
+document.addEventListener("toggle", (event) => {
+  if (!event.target.matches(LIMITS)) return;
+  const places = [...document.querySelectorAll(`${LIMITS}[open]`)].map((one) => one.dataset.place);
+  for (const mark of document.querySelectorAll("[data-mark]")) mark.classList.toggle("chosen", places.includes(mark.dataset.mark));
+}, true);
+
 // What the browser remembers: who works here, and which details are open.
 function prepare(place) {
   for (const field of place.querySelectorAll("[data-me]")) field.value ||= localStorage.getItem("cbsr-qa operator") ?? "";
@@ -170,6 +186,18 @@ document.addEventListener("input", (event) => {
   rechecking = setTimeout(checkAgain, 700);
 });
 document.addEventListener("change", (event) => { if (rechecking && isStated(event.target)) checkAgain(); });
+
+// A page of a sensor leads here to test it again: as if it had been scanned.
+const asked = new URLSearchParams(location.search);
+if (asked.has("serial")) {
+  history.replaceState(null, "", location.pathname);
+  const serial = document.getElementById("serial");
+  const recipe = [...document.querySelectorAll("#recipe option")].find((one) => one.value === asked.get("recipe"));
+  if (recipe) recipe.selected = true;
+  if (serial) serial.value = asked.get("serial");
+  if (serial) setTimeout(() => serial.form.requestSubmit());
+  else tell(body.dataset.ignored);
+}
 
 let turn = 0;
 document.addEventListener("submit", async (event) => {
