@@ -23,6 +23,7 @@ from cbsr_qa.store.sync.queue import (
     waiting,
 )
 from cbsr_qa.store.sync.send import Sent
+from cbsr_qa.system.clock import write_local_time
 
 _NOT_ALL: Final = 1
 
@@ -255,7 +256,7 @@ def add_refusals(done: CommandOutcome[Synchronised], centre: Engine) -> CommandO
         return replace(done, result=result)
     lines = tuple(
         Paragraph(
-            f"{refusal.noted_at:%Y-%m-%d %H:%M}, station {refusal.station or '–'}, {refusal.kind} {refusal.item}:"
+            f"{write_local_time(refusal.noted_at)}, station {refusal.station or '–'}, {refusal.kind} {refusal.item}:"
             f" {_why(refusal.kind, refusal.item, refusal.why)}"
         )
         for refusal in refused_items[-MOST_LISTED:]

@@ -116,6 +116,8 @@ class Annexes:
         if tuple(names) == ("all",):
             return cls((), opened=True)
         installed = plugins.list_names(Kind.SECTION)
+        if len(names) > 1 and (alone := [name for name in names if name in ("all", "none")]):
+            raise RefusedError(f"--annex {alone[0]} is given beside others", remedy="leave the others out")
         if unknown := [name for name in names if name not in installed]:
             raise RefusedError(
                 f"--annex {unknown[0]}: there is no such section",

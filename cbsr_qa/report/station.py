@@ -11,6 +11,7 @@ from cbsr_qa.domain.results.report import Block, Cell, Paragraph, Table
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.report.tables import plural, quantity, text_table
+from cbsr_qa.system.clock import write_local_time
 
 _CELLS: Final = {
     CheckOutcome.OK: Outcome.PASS,
@@ -63,7 +64,7 @@ def station_blocks(station: str, check: StationCheck | None, begun: datetime) ->
         sentence = f"Station {station} had never been checked when this run began: run cbsr-qa station check."
         return (Paragraph(sentence, "note"),)
     by_operator = f" by {check.operator}" if check.operator else ""
-    checked_at = check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()
+    checked_at = write_local_time(check.checked_at)
     sentence = (
         f"Station {station} was last checked {age(check, begun)} before this run began, on {checked_at}{by_operator}"
     )

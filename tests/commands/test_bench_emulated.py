@@ -1,10 +1,16 @@
 """The station of emulated instruments: the real drivers give what the simulation gives directly, within noise."""
 
+import re
+import shutil
+import subprocess
+
 import pytest
 from command import cbsr_qa, document
 from one_press import one_press_recipe
 
 pytestmark = pytest.mark.rest
+
+CHROMIUM = shutil.which("chromium") or shutil.which("google-chrome")
 
 RECIPE = one_press_recipe(
     "applied-force", "centre-of-mass-error", "channel-noise", "contact-resistance", "load-estimate", "reciprocity"
@@ -58,3 +64,13 @@ def test_estimates_agree_within_their_standard_errors(both, name):
 def test_everything_on_the_bench_is_said_to_be_simulated(both):
     said = {text.partition(":")[0] for text in both["bench-emulated"]["simulated"]}
     assert said == {"applicator", "frames", "load_cell", "multiplexer", "source_meter", "thermometer"}
+
+
+@pytest.mark.skipif(CHROMIUM is None, reason="chromium is not installed")
+def test_the_report_of_a_bench_of_six_instruments_prints_on_three_sides(tmp_path):
+    cbsr_qa(tmp_path, "station", "check", "bench-emulated", "--ring-ohm", "10000")
+    report = tmp_path / measured(tmp_path, "bench-emulated")["report"]
+    printed = tmp_path / "report.pdf"
+    options = ["--headless", "--no-sandbox", "--disable-gpu", "--no-pdf-header-footer", f"--print-to-pdf={printed}"]
+    subprocess.run([CHROMIUM, *options, report.as_uri()], check=True, capture_output=True, timeout=120)
+    assert len(re.findall(rb"/Type\s*/Page\b", printed.read_bytes())) == 3

@@ -11,6 +11,7 @@ from cbsr_qa.domain.run.gate import Release
 from cbsr_qa.report.page import answer
 from cbsr_qa.report.tables import plural, text_table
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.system.clock import write_local_time
 
 #: Digits of a digest that are shown; ``--json`` has all.
 _DIGITS: Final = 12
@@ -63,7 +64,7 @@ def _row(release: ListedRelease) -> tuple[str | Cell, ...]:
     action = release.action if release.holds else f"{release.action}, superseded"
     passes = release.holds and release.action == "released"
     return (
-        f"{release.at:%Y-%m-%d %H:%M}",
+        write_local_time(release.at),
         release.kind,
         release.name,
         release.sha256[:_DIGITS],

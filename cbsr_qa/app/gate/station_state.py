@@ -10,6 +10,7 @@ from cbsr_qa.config.paths import batch_file
 from cbsr_qa.domain.plan.standards import find_doubtful_dates, past_due
 from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
+from cbsr_qa.system.clock import write_local_time
 
 #: Time by which the clock of another computer may be ahead.
 _CLOCKS: Final = timedelta(minutes=1)
@@ -26,7 +27,7 @@ def golden_measured(asked: Asked) -> Finding:
     check = None if asked.store is None else asked.store.stations.read_latest_golden_check(station)
     if asked.store is None or check is None or check.golden_run is None:
         return Finding(False, f"no golden sensor was ever measured on station {station}", *remedy)
-    golden_words = f"the golden sensor of {check.checked_at:%Y-%m-%d %H:%M} UTC"
+    golden_words = f"the golden sensor of {write_local_time(check.checked_at)}"
     golden_lines = [line for line in check.results if line.subject.startswith(_SUBJECT)]
     outcome = worst_check(golden_lines)
     unsigned = asked.store.key_id is not None and check.sealed in (CheckSeal.NONE, CheckSeal.DIGEST)

@@ -16,6 +16,7 @@ from cbsr_qa.domain.sensor.patterns import DrivePattern
 from cbsr_qa.report.draw.channels import ring_figure
 from cbsr_qa.report.station import count_results, lines_table, remedies
 from cbsr_qa.report.tables import plural, quantity, text_table
+from cbsr_qa.system.clock import write_local_time
 
 _RING_WORDS: Final = (
     "A ring of resistors between neighbouring electrodes stands in place of the sensor. What every pair must read of "
@@ -101,7 +102,7 @@ def _head(check: StationCheck, golden_run: str) -> Page:
         banner = Banner("pass", "✓", "OK", f"{plural(len(check.lines(CheckOutcome.OK)), 'check')} passed")
     facts = (
         ("Station", check.station),
-        ("Checked", check.checked_at.strftime("%Y-%m-%d %H:%M %Z").strip()),
+        ("Checked", write_local_time(check.checked_at)),
         ("Operator", check.operator or "not stated"),
         ("Set up for", check.sensor_type),
         ("Check", check.check),

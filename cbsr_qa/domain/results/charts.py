@@ -125,7 +125,7 @@ class StandingSignal:
 
 
 def _run(serial: str | None, begun: datetime) -> str:
-    return f"the run of {prefix_kind('sensor', serial or '')} on {begun:%Y-%m-%d %H:%M}"
+    return f"the run of {prefix_kind('sensor', serial or '')} on {begun.astimezone():%Y-%m-%d %H:%M %Z}"
 
 
 @dataclass(frozen=True, slots=True)

@@ -278,7 +278,7 @@ class VerdictOverride:
     @property
     def words(self) -> str:
         decided = f"{self.verdict.value} overridden to {self.outcome.value} by {self.by}"
-        return f"{decided} on {self.at:%Y-%m-%d %H:%M} UTC: {self.why}"
+        return f"{decided} on {self.at.astimezone():%Y-%m-%d %H:%M %Z}: {self.why}"
 
 
 def differences(before: Mapping[str, Any], after: Mapping[str, Any]) -> tuple[Difference, ...]:

@@ -130,7 +130,11 @@ def run_named(serial: str, started_at: datetime | None, run: str) -> str:
     ----------
     started_at : None if unknown.
     """
-    return f"{serial} ({run})" if started_at is None else f"{serial}, {started_at:%Y-%m-%d %H:%M} UTC ({run})"
+    return (
+        f"{serial} ({run})"
+        if started_at is None
+        else f"{serial}, {started_at.astimezone():%Y-%m-%d %H:%M %Z} ({run})"
+    )
 
 
 @dataclass(frozen=True, slots=True)

@@ -101,7 +101,7 @@ class Transcript:
         if end is None:
             ends = [number for number, line in enumerate(lines, start=1) if _END.fullmatch(line)]
             if ends:
-                raise _error(path, f"goes on after line {ends[0]}, its end", _UNCHANGED)
+                raise _error(path, f"continues after line {ends[0]}, its end", _UNCHANGED)
             remedy = f"events after line {len(lines)} are lost; {_RECORD_AGAIN}"
             raise _error(path, f"was cut off: line {len(lines)} is not its end", remedy)
         station, drivers, first = _read_head(path, lines)

@@ -1,7 +1,6 @@
 """What the numbers can be traced to, and the state of the station when the run was made."""
 
 from collections.abc import Iterator, Sequence
-from datetime import datetime
 from itertools import pairwise
 from typing import Final
 
@@ -25,6 +24,7 @@ from cbsr_qa.plugin import (
 from cbsr_qa.report.section import RunSection
 from cbsr_qa.report.station import chart_blocks, gate_blocks, station_blocks
 from cbsr_qa.report.tables import duration, number, quantity, text_table
+from cbsr_qa.system.clock import write_local_time
 
 _OUTLINES: Final = {
     "contour": "bounded by a contour inside the elements",
@@ -56,14 +56,19 @@ class Traceability(RunSection):
 
 
 def _instruments(record: RunRecord) -> Table:
+    """Return a row for each instrument; a column of which none has anything is left out."""
     rows = []
     for i in record.identity.instruments:
-        due = i.calibration_due or ("not applicable" if i.simulated else "not stated")
-        notes = "; ".join(f"{what}: {value}" for what, value in i.notes) or "–"
-        simulated = "yes" if i.simulated else "no"
-        rows.append([i.role, i.model, i.serial or "–", i.firmware or "–", i.driver, simulated, due, notes])
-    columns = ("Role", "Model", "Serial", "Firmware", "Driver", "Simulated", "Calibration due", "Notes")
-    return text_table("Instruments on the bench, as they identified themselves.", columns, rows)
+        due = i.calibration_due or ("–" if i.simulated else "not stated")
+        notes = [*(["simulated"] if i.simulated else []), *(f"{what}: {value}" for what, value in i.notes)]
+        rows.append([i.role, i.driver, i.model, i.serial or "–", i.firmware or "–", due, "; ".join(notes) or "–"])
+    columns = ("Role", "Driver", "Model", "Serial", "Firmware", "Calibration due", "Notes")
+    used = [place for place in range(len(columns)) if any(row[place] != "–" for row in rows)]
+    return text_table(
+        "Instruments on the bench, as they identified themselves.",
+        [columns[place] for place in used],
+        [[row[place] for place in used] for row in rows],
+    )
 
 
 def _standards(standards: Sequence[ReferenceStandard]) -> Table:
@@ -152,13 +157,13 @@ def _changes(history: ChangeHistory) -> Block:
     for change in history.changes:
         content = f"{change.old_digest[:12]} → {change.new_digest[:12]}"
         by = (change.by or "not stated", change.why, change.run)
-        rows.append([_minute(change.at), f"{change.kind} {change.name}", change.words(12), content, *by])
+        rows.append([write_local_time(change.at), f"{change.kind} {change.name}", change.words(12), content, *by])
     columns = ("When", "File", "What changed", "Content (SHA-256)", "By", "Why", "First run with it")
     return text_table(f"Changes of recipe, limits, station, sensor type and material {since}.", columns, rows)
 
 
 def _overrides(overrides: tuple[VerdictOverride, ...]) -> Table:
-    rows = [[_minute(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in overrides]
+    rows = [[write_local_time(o.at), o.verdict.value, o.outcome.value, o.by, o.why] for o in overrides]
     caption = "Overrides of the verdict, oldest first. The latest one is valid; overrides do not issue calibrations."
     return text_table(caption, ("When", "Verdict", "Overridden to", "By", "Why"), rows)
 
@@ -210,11 +215,7 @@ def _attendance_lines(record: RunRecord) -> Iterator[str]:
 
 
 def _format_start(session: RunSession) -> str:
-    return "not noted" if session.noted_at is None else _minute(session.noted_at)
-
-
-def _minute(moment: datetime) -> str:
-    return f"{moment:%Y-%m-%d %H:%M} UTC"
+    return "not noted" if session.noted_at is None else write_local_time(session.noted_at)
 
 
 def _versions(session: RunSession) -> str:

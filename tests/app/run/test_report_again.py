@@ -92,6 +92,8 @@ def test_annexes_that_were_asked_for_are_open_and_none_leaves_three_pages(result
     assert set(every) == set(plugins.list_names(Kind.SECTION))
     with pytest.raises(RefusedError, match="--annex imges: there is no such section"):
         Annexes.from_request(["limits", "imges"], plugins)
+    with pytest.raises(RefusedError, match="--annex none is given beside others"):
+        Annexes.from_request(["limits", "none"], plugins)
 
 
 @pytest.mark.parametrize(

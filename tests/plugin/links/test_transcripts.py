@@ -146,7 +146,7 @@ def test_a_failure_of_the_link_fails_again():
     [
         (lambda lines: lines[:-3], r"was cut off: line \d+ is not its end; .*|was cut off"),
         (lambda lines: [line.replace(" > ", " < ") for line in lines], "states another SHA-256"),
-        (lambda lines: [*lines, "0.0 load_cell > x"], r"goes on after line \d+, its end"),
+        (lambda lines: [*lines, "0.0 load_cell > x"], r"continues after line \d+, its end"),
         (lambda lines: ["cbsr-qa transcript 2", *lines[1:]], "is of format 2; this version reads 1"),
         (lambda lines: ["\ufeff" + lines[0], *lines[1:]], "begins with a byte order mark"),
         (lambda lines: [*lines[:3], lines[2], *lines[3:]], "line 4 names instrument 'load_cell' a second time"),

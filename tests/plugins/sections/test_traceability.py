@@ -8,6 +8,7 @@ import pytest
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.software import software_versions
 from cbsr_qa.station.setup import configure, open_station, station_clock
+from cbsr_qa_plugins.sections.traceability import Traceability
 
 PLUGINS = discover()
 
@@ -49,6 +50,23 @@ def test_where_it_is_and_what_was_done_to_it_are_notes(instruments):
     assert notes["load_cell"]["tare"].endswith(" N, mean of 2 s")
     assert notes["frames"]["current"] == "0.4 mA"
     assert "kΩ" in notes["frames"]["contacts"]
+
+
+def test_a_column_of_which_no_instrument_has_anything_is_left_out(result):
+    one = result.record.identity.instruments[0]
+    there = replace(one, serial="12", firmware="", simulated=True, calibration_due=None, notes=())
+    for instruments, columns in (
+        ((there,), ("Role", "Driver", "Model", "Serial", "Notes")),
+        (
+            (there, replace(there, firmware="3", calibration_due="2027-03-31")),
+            ("Role", "Driver", "Model", "Serial", "Firmware", "Calibration due", "Notes"),
+        ),
+        ((replace(there, simulated=False),), ("Role", "Driver", "Model", "Serial", "Calibration due")),
+    ):
+        record = replace(result.record, identity=replace(result.record.identity, instruments=instruments))
+        table = next(Traceability().blocks(replace(result, record=record)))
+        assert table.columns == columns
+        assert all(len(row) == len(columns) for row in table.rows)
 
 
 def test_the_software_that_speaks_to_instruments_is_named():
