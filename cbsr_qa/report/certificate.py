@@ -1,7 +1,7 @@
 """The page of a calibration certificate: two sides of A4 in one self-contained HTML file."""
 
 from collections import Counter
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import chain, groupby
 from math import floor, inf, isfinite, log10
@@ -12,7 +12,13 @@ from markupsafe import Markup
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_MEASURED, NOT_STATED, Certificate, CheckedLoad, Replacement
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce, MonteCarlo
+from cbsr_qa.domain.results.expanded_force import (
+    GAIN_DRIFT,
+    IN_USE_YEARS,
+    ExpandedForce,
+    MonteCarlo,
+    list_missing,
+)
 from cbsr_qa.report.render import make_environment, read_style
 
 #: Sentences of page and XML that are the same in every certificate.
@@ -281,11 +287,6 @@ def describe_use(certificate: Certificate) -> str:
     parts = [f"a drift of the readings' gains over {IN_USE_YEARS:g} year"] if GAIN_DRIFT in names else []
     parts += ["the temperatures named above"] if "temperature" in names else []
     return f"U in use is that of a later force{until}, with {' and '.join(parts) or 'nothing more'}."
-
-
-def list_missing(forces: Iterable[ExpandedForce]) -> list[str]:
-    """Return what U lacks, since nothing gives a number for it."""
-    return list(dict.fromkeys(name for force in forces for name in force.not_stated))
 
 
 def describe_checked(certificate: Certificate) -> str:

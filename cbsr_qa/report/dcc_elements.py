@@ -5,8 +5,7 @@ from math import isfinite
 from typing import Final
 from xml.etree.ElementTree import Element, SubElement
 
-from cbsr_qa.domain.results.expanded_force import ExpandedForce
-from cbsr_qa.report.certificate import list_missing
+from cbsr_qa.domain.results.expanded_force import ExpandedForce, list_missing
 
 DCC: Final = "https://ptb.de/dcc"
 SI: Final = "https://ptb.de/si"

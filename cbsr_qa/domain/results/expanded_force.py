@@ -1,5 +1,6 @@
 """Forces and places with expanded uncertainties, and the budgets that they come from (JCGM 100, 6 and 7)."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from enum import StrEnum
 from math import hypot
@@ -148,6 +149,11 @@ class ExpandedForce:
     def not_stated(self) -> tuple[str, ...]:
         """Inputs that nothing gives a number for."""
         return self.budget.not_stated
+
+
+def list_missing(forces: Iterable[ExpandedForce]) -> list[str]:
+    """Return what U lacks, since nothing gives a number for it."""
+    return list(dict.fromkeys(name for force in forces for name in force.not_stated))
 
 
 @dataclass(frozen=True, slots=True)
