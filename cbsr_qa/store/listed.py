@@ -3,6 +3,7 @@
 from collections import Counter
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass
+from datetime import datetime
 from functools import partial
 from typing import Any, Final
 
@@ -91,6 +92,12 @@ class RunLists:
         """Return the identifiers of the runs that :meth:`read_runs` returns, in the order they were made in."""
         with reading(self._engine) as connection:
             return tuple(_names(connection, selection))
+
+    def find_resumed(self, runs: Sequence[str], since: datetime) -> set[str]:
+        """Return those of some runs of which a session began at a moment or later."""
+        query = select(RunStateRow.run).where(RunStateRow.run.in_(runs), RunStateRow.noted_at >= since)
+        with reading(self._engine) as connection:
+            return set(connection.scalars(query))
 
     def read_measurements(self, runs: Sequence[str]) -> MeasuredRuns:
         """Read what runs measured, compared with their chains.

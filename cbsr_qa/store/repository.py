@@ -32,6 +32,7 @@ from cbsr_qa.store.tables.results import (
 )
 from cbsr_qa.store.tables.runs import FrameBlockRow, LoadRow, RunRow, SampleBlockRow, SensorRow
 from cbsr_qa.store.types import IdSource, time_of_id
+from cbsr_qa.system.clock import write_local_time
 
 if TYPE_CHECKING:
     from cbsr_qa.store.fleet import Fleet
@@ -212,8 +213,8 @@ class Repository:
         if latest is None or latest - now < _CLOCKS_DIFFER:
             return ""
         return (
-            f"{self.shown} holds something made at {latest:%Y-%m-%d %H:%M} UTC, and this computer's clock says"
-            f" {now:%Y-%m-%d %H:%M}: one of the clocks was wrong, or was set back; the order of runs is kept"
+            f"{self.shown} holds something made at {write_local_time(latest)}, and this computer's clock says"
+            f" {write_local_time(now)}: one of the clocks was wrong, or was set back; the order of runs is kept"
         )
 
     def _find_latest_id(self) -> str:

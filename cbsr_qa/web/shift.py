@@ -3,7 +3,8 @@
 from base64 import b64encode
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from datetime import timedelta
 from typing import TYPE_CHECKING, Any, Final
 
 from starlette.exceptions import HTTPException
@@ -63,14 +64,25 @@ class StationChartsView:
 def shift_page(
     database: str | None, stations: tuple[str, ...], in_progress: frozenset[str] = frozenset()
 ) -> dict[str, Any]:
-    """Return the content of the shift view: today's sensors and runs of the served stations."""
+    """Return the content of the shift view: today's sensors and runs of the served stations.
+
+    A run that began before midnight is today's too if it has gone on since, or was resumed.
+    """
     from cbsr_qa.app.shift.sensors import sort_for_handover
     from cbsr_qa.app.shift.summary import local_day, summarise_runs  # imports all of statistics
 
     since, until = local_day()
     selection = RunSelection(stations=stations, from_moment=since, before_moment=until, checks=False)
     with open_store(database_url(database)) as store:
-        runs = store.lists.read_runs(selection)
+        evening = replace(selection, from_moment=since - timedelta(days=1), before_moment=since)
+        before = store.lists.read_runs(evening)
+        resumed = store.lists.find_resumed([run.run for run in before], since)
+        over_midnight = [
+            run
+            for run in before
+            if run.run in in_progress | resumed or run.started_at + timedelta(seconds=run.station_s) > since
+        ]
+        runs = (*over_midnight, *store.lists.read_runs(selection))
         references = {name: store.charts.read_current(name) for name in stations}
     groups = dict.fromkeys(
         (name, reference.recipe, reference.golden or "")

@@ -2,14 +2,21 @@
 
 import re
 from base64 import b64decode
+from dataclasses import replace
+from datetime import timedelta
 from xml.etree import ElementTree
 
 import numpy as np
 import pytest
 from filled_databases import filled
+from stored_lots import store_run
+from stored_runs import SETTING
 
 from cbsr_qa.domain.plan.limits import Limit
 from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.run.run import RunStarted
+from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.charts.charts import control_charts
 from cbsr_qa.studies.charts.request import ChartsRequest, ReferencePeriod
 from cbsr_qa.web.line import Line
@@ -53,3 +60,23 @@ def test_the_page_says_how_stations_stand_and_fetches_no_chart(database):
     assert all(source.startswith("data:") for source in re.findall(r'<img src="([^"]*)"', shown))
     without = pages.page("shift", control=True, here="shift", **shift_page(database, ("B",)))
     assert "No station has control charts yet" in without
+
+
+def test_a_run_over_midnight_is_of_both_days(tmp_path, monkeypatch):
+    """Runs take 201 s here; one that ended before midnight is of today only if it was resumed, or still runs."""
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url, durable=False) as store:
+        names = [store_run(store, f"S-{number}", (), station="A", end=EndReason.ABORTED) for number in range(3)]
+        began = store.live.find_run(names[0]).started_at
+        resumed = replace(store.runs.read_identity(names[1]), started_at=began + timedelta(hours=2))
+        store.open_journal(configuration=store.runs.read_configuration(names[1]), **SETTING)(RunStarted(resumed))
+
+    def listed(midnight, *in_progress):
+        monkeypatch.setattr("cbsr_qa.app.shift.summary.local_day", lambda: (midnight, midnight + timedelta(days=1)))
+        return [run.run for run in shift_page(url, ("A",), frozenset(in_progress))["runs"]]
+
+    assert listed(began - timedelta(hours=1)) == names[::-1]
+    assert listed(began + timedelta(seconds=200)) == names[::-1]
+    assert listed(began + timedelta(seconds=202)) == [names[1]]
+    assert listed(began + timedelta(seconds=202), names[0]) == [names[1], names[0]]
+    assert listed(began + timedelta(hours=3)) == []

@@ -1,7 +1,7 @@
 """The unloaded sheet of a run: its frames, reference frame, usable readings, and the weight of each reading."""
 
 from dataclasses import dataclass, replace
-from datetime import UTC, timedelta
+from datetime import timedelta
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +22,7 @@ from cbsr_qa.domain.run.run import PhaseRecord, RunRecord
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.readings import reading_noise
 from cbsr_qa.plugin.interfaces import Reconstruction
+from cbsr_qa.system.clock import write_local_time
 
 #: Largest share of a frame's imaged readings that may be flagged; above it the whole frame is left out.
 _MAX_FLAGGED_SHARE = 0.25
@@ -170,14 +171,14 @@ def _find_silent_readings(
 
 
 def _name_moment(record: RunRecord, time_s: float) -> str:
-    """Name a time of the run by the clock on the wall (UTC), or of a simulated one by its minute."""
+    """Name a time of the run by this computer's clock, or of a simulated one by its minute."""
     if record.identity.simulated:
         return f"minute {time_s / 60:.1f} of the run"
     begun_at, begun_s = record.identity.started_at, 0.0
     for session in record.sessions:
         if session.noted_at is not None and session.started_s <= time_s:
             begun_at, begun_s = session.noted_at, session.started_s
-    return f"{(begun_at + timedelta(seconds=time_s - begun_s)).astimezone(UTC):%H:%M} UTC"
+    return write_local_time(begun_at + timedelta(seconds=time_s - begun_s))
 
 
 def _remove_offsets(voltages: Array, readings: NDArray[np.bool_]) -> tuple[Array, tuple[tuple[int, float], ...]]:

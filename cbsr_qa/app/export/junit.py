@@ -11,7 +11,6 @@ from xml.etree.ElementTree import Element, SubElement, tostring
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import Measurement, describe_judgement
-from cbsr_qa.domain.run.run import run_named
 from cbsr_qa.domain.run.states import EndReason
 
 _BEGIN: Final = b'<?xml version="1.0" encoding="UTF-8"?>\n<testsuites name="cbsr-qa">\n'
@@ -46,7 +45,9 @@ def suite(run: ListedRun, judged: Sequence[Measurement]) -> bytes:
     ----------
     judged : measurements with a limit, of the run's latest analysis.
     """
-    element = Element("testsuite", name=_text(run_named(run.serial, run.started_at, run.run)))
+    begun_at = run.started_at.astimezone(UTC)  # a document reads alike wherever it is written
+    name = f"{run.serial}, {begun_at:%Y-%m-%d %H:%M} UTC ({run.run})"
+    element = Element("testsuite", name=_text(name))
     properties = SubElement(element, "properties")
     for name in _PROPERTIES:
         SubElement(properties, "property", name=name, value=_text(str(getattr(run, name) or "")))

@@ -1,5 +1,6 @@
 """Where sensors stand by their last decided run: sorted for whoever takes over, found by serial number or part."""
 
+import string
 from collections.abc import Collection, Sequence
 from contextlib import suppress
 from dataclasses import dataclass, replace
@@ -151,6 +152,21 @@ def search_sensors(store: Repository, wanted: str) -> FoundSensors:
     return FoundSensors(sensors, len(serials), len(altered), "" if serials else _nearest(store, wanted))
 
 
+def _list_typos(name: str) -> list[str]:
+    """Return the texts that become a name by one character too many, too few, wrong or in the place of its neighbour.
+
+    Also the name in small and in capital letters.
+    """
+    halves = [(name[:place], name[place:]) for place in range(len(name) + 1)]
+    characters = sorted({*string.ascii_letters, *string.digits, *"._-/", *name})
+    texts = {name.lower(), name.upper()}
+    texts |= {before + after[1:] for before, after in halves if after}
+    texts |= {before + after[1] + after[0] + after[2:] for before, after in halves if len(after) > 1}
+    texts |= {before + one + after[1:] for before, after in halves if after for one in characters}
+    texts |= {before + one + after for before, after in halves for one in characters}
+    return sorted(texts - {name})
+
+
 def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
     """Return the serial number and the part that a text may mean; a part without a name stands for any."""
     if "=" in wanted:
@@ -166,7 +182,10 @@ def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
 
 
 def _nearest(store: Repository, wanted: str) -> str:
+    """Return the nearest name of the latest runs, and of those of any run that differ by one character."""
     serials, parts = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
+    alike, alike_parts = store.sensors.find_names(_list_typos(wanted.partition("=")[2] or wanted))
+    serials, parts = serials | alike, parts | alike_parts
     if "=" in wanted:
         without_revision = {f"{part.name}={part.identifier}" for part in parts}
         return find_nearest(wanted, {*map(str, parts), *without_revision})

@@ -124,17 +124,16 @@ class RunIdentity:
 
 
 def run_named(serial: str, started_at: datetime | None, run: str) -> str:
-    """Name a run as people do, by sensor and date, with the identifier that commands take.
+    """Name a run as people do, by sensor and local date, with the identifier that commands take.
 
     Parameters
     ----------
     started_at : None if unknown.
     """
-    return (
-        f"{serial} ({run})"
-        if started_at is None
-        else f"{serial}, {started_at.astimezone():%Y-%m-%d %H:%M %Z} ({run})"
-    )
+    if started_at is None:
+        return f"{serial} ({run})"
+    local_start = started_at.astimezone()
+    return f"{serial}, {local_start:%Y-%m-%d %H:%M} {local_start.tzname()} ({run})"
 
 
 @dataclass(frozen=True, slots=True)

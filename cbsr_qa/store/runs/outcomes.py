@@ -20,12 +20,14 @@ from cbsr_qa.store.golden import find_golden_runs
 from cbsr_qa.store.left_out import find_altered_outside
 from cbsr_qa.store.locks import seed_claimed, this_process
 from cbsr_qa.store.runs.verdicts import verdict_of
-from cbsr_qa.store.tables.runs import PartRow, RunRow
+from cbsr_qa.store.tables.runs import PartRow, RunRow, SensorRow
 from cbsr_qa.store.types import time_of_id
 from cbsr_qa.store.unreadable_runs import problem_of
 
 #: Runs that are looked at where a station waits, in 40 ms.
 _RECENT: Final = 500
+#: Names that one query looks for; databases allow some ten thousand.
+_NAMES_AT_ONCE: Final = 1000
 
 
 class NoRunError(StoreError):
@@ -114,6 +116,20 @@ class SensorRuns:
         query = select(RunRow.run).where(RunRow.serial.in_(serials)).order_by(RunRow.run)
         with reading(self._engine) as connection:
             return list(connection.scalars(query))
+
+    def find_names(self, names: Sequence[str]) -> tuple[set[str], set[SensorPart]]:
+        """Return those of some texts that are serial numbers of any stored run, and parts with such identifiers."""
+        serials: set[str] = set()
+        parts: set[SensorPart] = set()
+        any_name = PartRow.name.in_(select(_part_names().c.name))  # a search by name and identifier has an index
+        of_parts = select(PartRow.name, PartRow.identifier, PartRow.revision).where(any_name).distinct()
+        with reading(self._engine) as connection:
+            for start in range(0, len(names), _NAMES_AT_ONCE):
+                some = names[start : start + _NAMES_AT_ONCE]
+                serials |= set(connection.scalars(select(SensorRow.serial).where(SensorRow.serial.in_(some))))
+                rows = connection.execute(of_parts.where(PartRow.identifier.in_(some)))
+                parts |= {SensorPart(*cells) for cells in rows}
+        return serials, parts
 
     def read_latest_names(self, runs: int) -> tuple[set[str], set[SensorPart]]:
         """Return serial numbers and parts of the latest runs."""

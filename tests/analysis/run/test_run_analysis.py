@@ -1,7 +1,8 @@
 """A whole run's analysis against what the simulated world knows to be true."""
 
 from dataclasses import replace
-from datetime import UTC, timedelta
+from datetime import timedelta
+from zoneinfo import ZoneInfo
 
 import numpy as np
 import pytest
@@ -143,7 +144,7 @@ def test_faults_that_recordings_are_rid_of_are_named_and_left_out_of_runs_too(ru
 
 
 @pytest.mark.parametrize("simulated", [(), ("the sheet",)])
-def test_an_electrode_that_opened_during_the_run_has_its_time(run, simulated):
+def test_an_electrode_that_opened_during_the_run_has_its_time(run, simulated, in_zurich):
     frames, pattern = run.phases[0].frames, run.sensor_type.pattern
     noise = np.random.default_rng(8).normal(0, 1e-7, frames.voltages.shape)
     opened_at = len(frames) // 3
@@ -153,7 +154,8 @@ def test_an_electrode_that_opened_during_the_run_has_its_time(run, simulated):
     (said,) = [words for words in usable_data(damaged).warnings if "is open" in words]
     time_s = frames.time_s[opened_at]
     at = damaged.identity.started_at + timedelta(seconds=float(time_s))
-    when = f"minute {time_s / 60:.1f} of the run" if simulated else f"{at.astimezone(UTC):%H:%M} UTC"
+    local = at.astimezone(ZoneInfo("Europe/Zurich"))
+    when = f"minute {time_s / 60:.1f} of the run" if simulated else f"{local:%Y-%m-%d %H:%M} CET"
     assert said == f"electrode 7 is open since {when}: nothing comes through; check its pin"
 
 

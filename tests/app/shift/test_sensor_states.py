@@ -203,3 +203,21 @@ def test_a_search_looks_up_indices_and_scans_no_table(tmp_path):
     for plan in plans:
         assert not [line for line in plan if line.startswith("SCAN") and "names" not in line], plan
         assert any("ix_run" in line for line in plan)
+
+
+@pytest.mark.parametrize(
+    ("wanted", "nearest"),
+    [
+        *((wanted, "OLD-0417") for wanted in ("OLD-0471", "OLD-041", "OLD-04177", "OLD-0517", "old-0417")),
+        ("board=B77", "board=B7"),
+        ("NEU-1", "NEW-1"),
+        ("OLD-9999", ""),
+    ],
+)
+def test_any_name_that_differs_by_one_character_is_suggested_however_long_ago_it_was_tested(
+    store, monkeypatch, wanted, nearest
+):
+    monkeypatch.setattr("cbsr_qa.app.shift.sensors._RUNS_WITH_NAMES", 1)
+    for serial, parts in (("OLD-0417", ["board=B7"]), ("OTHER", []), ("NEW-1", [])):
+        store_run(store, serial, WELL, parts=parts)
+    assert search_sensors(store, wanted).nearest == nearest
