@@ -27,18 +27,21 @@ _MAX_IDENTIFIER_LEAD: Final = timedelta(hours=1)
 _ANY: Final = RunSelection()
 
 
-def with_left_out(connection: Connection, selection: RunSelection, selected: Collection[str]) -> list[str]:
+def with_left_out(
+    connection: Connection, selection: RunSelection, selected: Collection[str], latest: int | None = None
+) -> list[str]:
     """Return the selected runs and those that the selection must not leave out, in the order of their names.
 
     Parameters
     ----------
     selected : runs that the columns select.
+    latest : number of the latest runs to look at; None for all.
     """
     bounds = _limit_names(selection, selected)
     hidden = _find_hidden(connection, selection, bounds)
     # A selection by the names of runs alone depends on no column that could have been altered.
     by_name_only = replace(selection, checks=True, after="", up_to="", latest=None) == _ANY
-    altered = {} if by_name_only else find_altered_outside(connection, bounds, {*selected, *hidden})
+    altered = {} if by_name_only else find_altered_outside(connection, bounds, {*selected, *hidden}, latest)
     return sorted({*selected, *hidden, *altered})
 
 

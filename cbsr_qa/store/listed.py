@@ -23,6 +23,7 @@ from cbsr_qa.store.engine import reading
 from cbsr_qa.store.golden import find_golden_runs, golden_runs
 from cbsr_qa.store.left_out import with_left_out
 from cbsr_qa.store.results.analyses import restore_measurement
+from cbsr_qa.store.runs.outcomes import RECENT_RUNS
 from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts, verdict_pages
 from cbsr_qa.store.selected import conditions
 from cbsr_qa.store.tables.results import MeasurementRow
@@ -37,8 +38,13 @@ _WORDS: Final = {"outcome": frozenset(map(str, Outcome)), "bound": frozenset(map
 
 
 def _names(connection: Connection, selection: RunSelection) -> list[str]:
+    """Return the selected runs, and altered ones that may belong to them.
+
+    Of runs of other sensors the latest 500 are compared with their links: to compare 100 000 takes ten seconds.
+    """
+    latest = RECENT_RUNS if selection.serials or selection.parts else None
     query = select(RunRow.run).where(*conditions(selection)).order_by(RunRow.run)
-    return with_left_out(connection, selection, list(connection.scalars(query)))
+    return with_left_out(connection, selection, list(connection.scalars(query)), latest)
 
 
 @dataclass(frozen=True, slots=True)
@@ -66,7 +72,8 @@ class RunLists:
     def read_runs(self, selection: RunSelection = _EVERY) -> tuple[ListedRun, ...]:
         """Return the selected runs in the order they were made in; those that were altered are marked.
 
-        An altered run is returned even if the selection excludes it, as the selecting columns may have been altered.
+        An altered run is returned even if the selection excludes it, as the selecting columns may have been altered;
+        of a selection by sensors or parts, if it is one of the latest 500.
         The rows of a run are compared with their links, not with the whole chain: see docs/explanation.
 
         Raises

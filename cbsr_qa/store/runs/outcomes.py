@@ -25,7 +25,7 @@ from cbsr_qa.store.types import time_of_id
 from cbsr_qa.store.unreadable_runs import problem_of
 
 #: Runs that are looked at where a station waits, in 40 ms.
-_RECENT: Final = 500
+RECENT_RUNS: Final = 500
 #: Names that one query looks for; databases allow some ten thousand.
 _NAMES_AT_ONCE: Final = 1000
 
@@ -46,7 +46,7 @@ class SensorRuns:
         One of them may be of this sensor. The latest 500 of them are looked at, as a station waits for it.
         """
         with reading(self._engine) as connection:
-            return find_altered_outside(connection, [RunRow.serial != serial], (), latest=_RECENT)
+            return find_altered_outside(connection, [RunRow.serial != serial], (), latest=RECENT_RUNS)
 
     def find_altered_lately(self, known: Collection[str]) -> dict[str, str]:
         """Return what is wrong with the rows of those of the latest 500 runs that were altered, by run.
@@ -56,7 +56,7 @@ class SensorRuns:
         known : runs to skip.
         """
         with reading(self._engine) as connection:
-            return find_altered_outside(connection, [], known, latest=_RECENT)
+            return find_altered_outside(connection, [], known, latest=RECENT_RUNS)
 
     def list_seeds(self, serial: str) -> tuple[int | None, ...]:
         """Return the seeds of all runs of a sensor, oldest first; None where a configuration has none."""

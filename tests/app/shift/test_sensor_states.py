@@ -12,6 +12,7 @@ from stored_lots import LIMITS, store_run
 from cbsr_qa.app.shift.sensors import MOST_FOUND, count_sensors, search_sensors, sort_for_handover
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.domain.run.states import EndReason
@@ -215,9 +216,24 @@ def test_a_search_looks_up_indices_and_scans_no_table(tmp_path):
     ],
 )
 def test_any_name_that_differs_by_one_character_is_suggested_however_long_ago_it_was_tested(
-    store, monkeypatch, wanted, nearest
+    tmp_path, monkeypatch, wanted, nearest
 ):
     monkeypatch.setattr("cbsr_qa.app.shift.sensors._RUNS_WITH_NAMES", 1)
-    for serial, parts in (("OLD-0417", ["board=B7"]), ("OTHER", []), ("NEW-1", [])):
-        store_run(store, serial, WELL, parts=parts)
-    assert search_sensors(store, wanted).nearest == nearest
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}", durable=False) as store:
+        for serial, parts in (("OLD-0417", ["board=B7"]), ("OTHER", []), ("NEW-1", [])):
+            store_run(store, serial, WELL, parts=parts)
+        assert search_sensors(store, wanted).nearest == nearest
+
+
+@pytest.mark.parametrize(("recent", "listed"), [(3, True), (1, False)])
+def test_a_list_of_a_part_compares_the_latest_runs_of_others(file, tmp_path, monkeypatch, recent, listed):
+    """A run that was altered may be of the part; to compare 100 000 takes ten seconds."""
+    path, runs = file
+    shutil.copy(path, tmp_path / "runs.db")
+    change(tmp_path / "runs.db", "UPDATE run_parts SET identifier = 'LOT1' WHERE run = ?", runs["D"])
+    monkeypatch.setattr("cbsr_qa.store.listed.RECENT_RUNS", recent)
+    with open_store(f"sqlite:///{tmp_path / 'runs.db'}") as store:
+        of_part = store.lists.read_runs(RunSelection(parts=(SensorPart("sheet", "LOT7"),)))
+        of_station = store.lists.read_runs(RunSelection(batch="another"))
+    assert [run.serial for run in of_part if run.altered] == (["D"] if listed else [])
+    assert [run.serial for run in of_station] == ["D"]
