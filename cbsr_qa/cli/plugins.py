@@ -20,7 +20,7 @@ group("plugins", "List, describe, check and start plugins.")
 @command("plugins list", prints="cbsr_qa.plugin.listed:ListedPlugins")
 def list_plugins(
     kind: Annotated[str | None, typer.Option(help="Only plugins of this kind, e.g. metric.")] = None,
-    options: Annotated[bool, typer.Option("--options", help="List the options of each plugin.")] = False,
+    options: Annotated[bool, typer.Option("--options", help="Say what each does, and list its options.")] = False,
     as_json: AsJson = False,
 ) -> None:
     """List plugins by kind and name, and those that could not be loaded, with the reason."""
@@ -44,15 +44,15 @@ def list_plugins(
     if options:
         from cbsr_qa.plugin.reference import plugin_reference
 
-        options_of_each = [plugin_reference(plugins, Kind(plugin.kind), plugin.name).options for plugin in listed]
+        references = [plugin_reference(plugins, Kind(plugin.kind), plugin.name) for plugin in listed]
         listed = [
-            replace(plugin, options=plugin_options)
-            for plugin, plugin_options in zip(listed, options_of_each, strict=True)
+            replace(plugin, options=reference.options, summary=reference.summary)
+            for plugin, reference in zip(listed, references, strict=True)
         ]
-        columns += ("options",)
+        columns += ("what it does", "options")
         rows = [
-            [*row, ", ".join(option.name for option in plugin_options)]
-            for row, plugin_options in zip(rows, options_of_each, strict=True)
+            [*row, reference.summary, ", ".join(option.name for option in reference.options)]
+            for row, reference in zip(rows, references, strict=True)
         ]
     failed = tuple(fill_from_object(FailedPlugin, failure) for failure in plugins.failures)
     warnings = [f"not loaded: {failure.distribution}: {failure.reason}" for failure in failed]

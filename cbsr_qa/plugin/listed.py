@@ -32,13 +32,14 @@ class PluginReference:
 
 @dataclass(frozen=True, slots=True)
 class ListedPlugin:
-    """A registered plugin, the distribution it comes from, and with ``--options`` what it takes."""
+    """A registered plugin, the distribution it comes from, and with ``--options`` what it does and takes."""
 
     kind: str
     name: str
     distribution: Annotated[str, Field(serialization_alias="from")]
     version: str
     options: tuple[OptionReference, ...] | None = None
+    summary: str | None = None
 
 
 @dataclass(frozen=True, slots=True)

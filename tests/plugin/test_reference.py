@@ -56,6 +56,9 @@ def test_show_refuses_a_name_that_nobody_registered(capsys, more):
     assert "did you mean 'creep'?" in capsys.readouterr().err
 
 
-def test_list_names_the_options(capsys):
-    assert main.run_guarded(["plugins", "list", "--kind", "metric", "--options"]) == 0
-    assert "from_s" in capsys.readouterr().out
+def test_list_says_what_each_plugin_does_and_names_its_options(capsys):
+    assert main.run_guarded(["plugins", "list", "--options", "--json"]) == 0
+    plugins = json.loads(capsys.readouterr().out)["plugins"]
+    assert not [plugin["name"] for plugin in plugins if not plugin["summary"].strip()]
+    (creep,) = (plugin for plugin in plugins if (plugin["kind"], plugin["name"]) == ("metric", "creep"))
+    assert "from_s" in [option["name"] for option in creep["options"]]

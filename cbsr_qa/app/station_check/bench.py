@@ -187,7 +187,10 @@ class _Look:
         unstated = ", ".join(name_unstated(self.configuration.station.standards))
         if unstated:
             said = f"not stated: {unstated}"
-            self._add(CheckResult("certificates", CheckOutcome.NOT_DONE, said=said, subject="standards"))
+            remedy = "state their certificates in [standards] of the station file"
+            self._add(
+                CheckResult("certificates", CheckOutcome.NOT_DONE, said=said, remedy=remedy, subject="standards")
+            )
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""

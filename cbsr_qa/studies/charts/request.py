@@ -71,8 +71,8 @@ def check_request(request: ChartsRequest) -> None:
     Raises
     ------
     RefusedError
-        If rules or the size of groups are not allowed, the reference period has no end, is too short, or has no
-        operator.
+        If rules or the size of groups are not allowed, the reference period has no end, is too short, has no
+        operator, or would be stored although it is of the sensors with some part alone.
     """
     settings, period = request.settings, request.period
     unknown = [str(number) for number in settings.rules if number not in RULES]
@@ -88,6 +88,11 @@ def check_request(request: ChartsRequest) -> None:
     if request.retire is not None and not request.operator:
         raise RefusedError(
             "the operator who retires these charts is not named", remedy="give --operator: who retires charts is kept"
+        )
+    if period is not None and request.parts and not request.dry_run:
+        raise RefusedError(
+            "--part beside a new reference period: a stored one holds for all sensors of the station",
+            remedy="give --dry-run to see limits of these sensors alone, or leave --part out",
         )
     if period is not None:
         _check_period(period, settings.subgroup)

@@ -273,6 +273,7 @@ def test_order_is_that_of_names_and_a_wrong_clock_is_named(tmp_path, document):
         (("--station", STATION, "--reference-runs", 3, "--operator", "Zoë"), "too short"),
         (("--station", STATION, "--reference-runs", 300, "--operator", "Zoë"), "instead of 300"),
         (("--station", STATION, "--reference-from", "2026-11-22", "--operator", "Zoë"), "has no end"),
+        (("--station", STATION, *NEW, "--part", "sheet=LOT7"), "holds for all sensors of the station"),
         (("--station", STATION, *NEW, "--chart", "pie"), "allowed: i-mr, xbar-r, ewma, cusum"),
         (("--station", STATION, *NEW, "--rules", "1,9"), "allowed: 1 to 8"),
         (("--station", STATION, *NEW, "--rules", "one"), "numbers from 1 to 8"),
