@@ -13,7 +13,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.plan import ReferenceRing
 from cbsr_qa.domain.readings.frames import UNUSABLE, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
-from cbsr_qa.domain.sensor.patterns import DrivePattern
+from cbsr_qa.domain.sensor.patterns import DrivePattern, find_shared_electrode
 from cbsr_qa.eit.forward.closed_forms import lead_readings, ring_impedance, ring_readings
 
 #: Readings expected below this share of the largest are compared with that share instead of themselves.
@@ -32,13 +32,14 @@ class RingFit:
     expected, mean, noise : (drives, measures) the closed form, the mean over the frames, and the standard deviation
         over them, in the frames' unit. If that is not volts or the current is unknown, the closed form is scaled to
         the readings.
-    used : (drives, measures) bool; never flagged.
+    used : (drives, measures) bool; never flagged, and not of the open electrode.
     flags : (drives, measures) uint8; flags of all frames combined.
     gain_error : gain error as a fraction; None if volts or current are unknown.
     offset : common to all readings, in their unit; None if the pattern cannot distinguish it from the gain.
     lead_ohm : (electrodes,) as the station reads them, including its gain error; None if the pattern cannot determine
         them, or volts or current are unknown.
     residual : (drives, measures) as a fraction of the expected reading.
+    open_electrode : the one that all drive pairs share of which every reading is flagged; None without one.
     """
 
     expected: Array
@@ -50,6 +51,13 @@ class RingFit:
     offset: float | None
     lead_ohm: Array | None
     residual: Array
+    open_electrode: int | None
+
+    @property
+    def flagged(self) -> NDArray[np.bool_]:
+        """Readings with a flag (drives, measures)."""
+        unusable: NDArray[np.bool_] = (self.flags & int(UNUSABLE)) != 0
+        return unusable
 
     def relative(self, values: Array) -> Array:
         """Return values as a fraction of the expected readings."""
@@ -72,6 +80,9 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
         raise NumericsError("the frames were taken without a current", remedy="check that the source is on")
     flags = np.bitwise_or.reduce(frames.flags, axis=0)
     used_mask = (flags & int(UNUSABLE)) == 0
+    opened = find_shared_electrode(pattern.list_silent_drives(~used_mask, np.ones_like(used_mask)))
+    if opened is not None:
+        used_mask &= ~pattern.touching([opened])
     closed = ring_readings(ring.resistances_ohm, pattern)
     mean = frames.voltages.mean(axis=0)
     absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
@@ -92,6 +103,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
         offset=offset if offset_fitted else None,
         lead_ohm=leads if leads_fitted and absolute else None,
         residual=np.where(used_mask, mean - fitted_readings, 0.0) / _sizes(expected),
+        open_electrode=opened,
     )
 
 
@@ -198,15 +210,18 @@ def _skip_check(name: str, why: str) -> CheckResult:
 
 
 def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
-    count = int((~fit.used).sum())
+    count = int(fit.flagged.sum())
     finding = f"all {fit.used.size} readings are without a flag"
     if count:
-        first_flagged = tuple(int(index) for index in np.argwhere(~fit.used)[0])
+        first_flagged = tuple(int(index) for index in np.argwhere(fit.flagged)[0])
         flag_name = ReadingFlag(int(fit.flags[first_flagged])).name or "flagged"
         finding = (
             f"{count} of {fit.used.size}; the first is {pair_words(pattern, first_flagged)}: {flag_name.lower()}"
         )
     remedy = "check that the ring is connected; lower the drive current or the ring's resistance"
+    if fit.open_electrode is not None:
+        finding += f"; all readings that electrode {fit.open_electrode} drives are flagged: it may be open"
+        remedy = f"check plug, lead and switch of electrode {fit.open_electrode}"
     return _line("flagged readings", not count, float(count), "1", "0", finding, remedy)
 
 

@@ -11,6 +11,7 @@ from cbsr_qa.domain.errors import ConfigError, SafetyError
 from cbsr_qa.domain.plan.standards import ROLE_UNITS, ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, SampleBlock
 from cbsr_qa.domain.readings.loads import Load
+from cbsr_qa.domain.sensor.patterns import find_shared_electrode
 from cbsr_qa.plugin.instruments import Sampler
 from cbsr_qa.station.bench import FORCE_CHANNEL
 from cbsr_qa.station.plan import Plan, duration
@@ -262,17 +263,14 @@ class Limits:
 
     def _name_limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
         """Name the drive pairs whose counted readings were all limited: an open lead limits both of its pairs."""
-        pairs = zip(self._plan.sensor_type.pattern.drive, limited, self._counted, strict=True)
-        limited_pairs = [pair for pair, row, counted in pairs if counted.any() and row[counted].all()]
+        limited_pairs = self._plan.sensor_type.pattern.list_silent_drives(limited, self._counted)
         if not limited_pairs:
             return ""
         drive_names = ", ".join(f"{source}–{sink}" for source, sink in limited_pairs[:6]) + (
             " …" if len(limited_pairs) > 6 else ""
         )
-        shared_electrodes = (
-            set.intersection(*(set(pair) for pair in limited_pairs)) if len(limited_pairs) > 1 else set()
-        )
-        suspect = f": electrode {shared_electrodes.pop()} may be open" if len(shared_electrodes) == 1 else ""
+        electrode = find_shared_electrode(limited_pairs)
+        suspect = "" if electrode is None else f": electrode {electrode} may be open"
         return f", all of those driven through electrodes {drive_names}{suspect}"
 
     @staticmethod

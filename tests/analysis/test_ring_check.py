@@ -115,6 +115,28 @@ def test_flagged_readings_are_named_and_left_out():
     assert found["worst reading"].value == pytest.approx(0.0, abs=1e-8)
 
 
+@pytest.mark.parametrize("electrode", [0, 12])
+def test_an_open_lead_is_named_and_nothing_else_fails(electrode):
+    """Its two pairs are at compliance; what it measures floats, and says nothing about offset or resistors."""
+    driven = [drive for drive, pair in enumerate(PATTERN.drive) if electrode in pair]
+    floating = ring_readings((1e4,) * 16, PATTERN)
+    floating[:, driven] *= 0.7
+    found = lines(ring(floating, flags=[(drive, measure) for drive in driven for measure in range(16)]))
+    assert outcomes(found) == {"flagged readings"}
+    assert found["flagged readings"].value == 32
+    assert (
+        f"all readings that electrode {electrode} drives are flagged: it may be open"
+        in found["flagged readings"].said
+    )
+    assert found["flagged readings"].remedy == f"check plug, lead and switch of electrode {electrode}"
+    assert found["offset"].value == pytest.approx(0.0, abs=1e-8)
+
+
+def test_one_drive_at_compliance_is_no_open_lead():
+    found = lines(ring(flags=[(3, measure) for measure in range(16)]))
+    assert "open" not in found["flagged readings"].said
+
+
 def test_where_all_are_flagged_there_is_one_line_and_no_number():
     readings = ring(flags=[(d, m) for d in range(16) for m in range(16)])
     (line,) = check_ring(readings, PATTERN, ALLOWED)

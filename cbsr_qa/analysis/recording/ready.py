@@ -19,9 +19,9 @@ from cbsr_qa.domain.readings.carry_over import (
     reciprocity_error,
     scan_order,
 )
-from cbsr_qa.domain.readings.frames import FrameBlock, Recording, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, Recording, ScanKind, VoltageUnit
 from cbsr_qa.domain.results.findings import ChannelReport
-from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern
+from cbsr_qa.domain.sensor.patterns import DrivePattern, adjacent_pattern, find_shared_electrode
 
 #: One electrode that loses contact differs from loads by its change; several at once by the parts without them.
 _PARTS, _PART_FRAMES = 4, 8
@@ -46,6 +46,8 @@ class ReadyReadings:
     dead_drives, open_electrodes : left out.
     open_since : when those opened, in words; empty from the beginning.
     clipped : (drives, measures) bool, saturated readings that would be used otherwise.
+    limited : drive pairs of which all readings are; of their one electrode the lead is open.
+    limited_since : when that began, in words; empty from the beginning.
     spikes, spiky_frames : number of readings that were replaced, and of their frames, see :func:`remove_spikes`.
     """
 
@@ -64,6 +66,8 @@ class ReadyReadings:
     spikes: int = 0
     spiky_frames: int = 0
     open_since: str = ""
+    limited: tuple[tuple[int, int], ...] = ()
+    limited_since: str = ""
 
     def remarks(self) -> list[str]:
         """Describe corrections of readings, and channels that failed during the recording."""
@@ -77,7 +81,7 @@ class ReadyReadings:
                 " frame, and their reciprocals did not; they were replaced by their neighbours in time"
             )
         if self.clipped.any() and not self.faults.all_saturated:
-            remarks.append(f"saturated: channels {_list_channels(self.clipped)} stand at an end; they were left out")
+            remarks.append(f"{self._describe_clipped()}; they were left out")
         stuck = np.where(self.faults.saturated, -1, self.faults.stuck_from)
         dead_rows = find_dead_rows(stuck == 0, ~self.faults.saturated & ~self.faults.missing)
         if dead_rows:
@@ -91,6 +95,17 @@ class ReadyReadings:
             first = float(self.block.time_s[int(stuck[stuck > 0].min())])
             remarks.append(f"stuck after {first:.1f} s: channels {_list_channels(stuck > 0)}; they were left out")
         return remarks
+
+    def _describe_clipped(self) -> str:
+        electrode = find_shared_electrode(self.limited)
+        if electrode is None:
+            return f"saturated: channels {_list_channels(self.clipped)} stand at an end"
+        pairs = ", ".join(f"{source}–{sink}" for source, sink in self.limited)
+        since = f" since {self.limited_since}" if self.limited_since else ""
+        return (
+            f"electrode {electrode} may be open{since}: all readings driven through electrodes {pairs} stand at an"
+            f" end ({int(self.clipped.sum())} are saturated); check its pin"
+        )
 
     def noise_use(self) -> Mask:
         """Readings for the noise estimate: the used ones, or without any, all that are not bad."""
@@ -134,11 +149,16 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
     used_mask = usable_mask & ~faults.bad
     opened: tuple[int, ...] = ()
     opening: int | None = None
+    limited: list[tuple[int, int]] = []
+    limiting = 0
     if recording.scan is ScanKind.FULL and used_mask.any() and not recording.differences:
         full_pattern = pattern or adjacent_pattern(used_mask.shape[0])
         opened = _find_open_electrodes(block.voltages, used_mask, full_pattern)
         opening = find_opening(block.voltages, used_mask, full_pattern, opened) if opened else None
         used_mask &= ~full_pattern.touching(opened)
+        if full_pattern.shape == used_mask.shape:
+            limited = full_pattern.list_silent_drives(faults.saturated, usable_mask)
+            limiting = _find_limiting(block, [full_pattern.drive.index(pair) for pair in limited], usable_mask)
     imaged = recording.scan is ScanKind.FULL and (pattern is None or pattern.drive == pattern.measure)
     carry_over = None
     is_scanned = imaged and not recording.still and not recording.magnitudes_only and not faults.not_connected
@@ -192,7 +212,16 @@ def make_ready(recording: Recording, wanted: bool | None, pattern: DrivePattern 
         int(spikes.sum()),
         int(spikes.any(axis=(1, 2)).sum()),
         "" if opening is None or recording.still else f"{float(block.time_s[opening]):.1f} s",
+        tuple(limited),
+        "" if limiting == 0 or recording.still else f"{float(block.time_s[limiting]):.1f} s",
     )
+
+
+def _find_limiting(block: FrameBlock, drives: list[int], usable: Mask) -> int:
+    """Return the frame from which on every usable reading of some drives is flagged; 0 if none is flagged."""
+    flagged = block.flags[:, drives][:, usable[drives]] & (ReadingFlag.SATURATED | ReadingFlag.COMPLIANCE).value != 0
+    whole = flagged.all(axis=1)
+    return int(np.argmax(whole)) if len(drives) and whole.any() else 0
 
 
 def _find_open_electrodes(voltages: Array, used: Mask, pattern: DrivePattern) -> tuple[int, ...]:

@@ -156,6 +156,16 @@ class DrivePattern:
         touching: NDArray[np.bool_] = driven[:, None] | measured
         return touching
 
+    def list_silent_drives(self, failed: NDArray[np.bool_], counted: NDArray[np.bool_]) -> list[tuple[int, int]]:
+        """Drive pairs of which every counted reading failed, and one at least is counted.
+
+        Parameters
+        ----------
+        failed, counted : (drives, measures) bool.
+        """
+        rows = zip(self.drive, failed, counted, strict=True)
+        return [pair for pair, row, used in rows if used.any() and row[used].all()]
+
     def reading_groups(self) -> tuple[NDArray[np.int64], Array]:
         """Groups of readings that are equal, up to sign, on every sheet that obeys Ohm's law.
 
@@ -328,3 +338,12 @@ def _incidence(electrode_count: int, pairs: Pairs) -> Array:
         matrix[plus, column] += 1
         matrix[minus, column] -= 1
     return matrix
+
+
+def find_shared_electrode(pairs: Sequence[tuple[int, int]]) -> int | None:
+    """Return the one electrode of all these pairs: its lead is open, where they are the ones that fail.
+
+    None of fewer than two pairs, and if they share none or two.
+    """
+    shared = set.intersection(*(set(pair) for pair in pairs)) if len(pairs) > 1 else set()
+    return shared.pop() if len(shared) == 1 else None

@@ -1,22 +1,38 @@
 """Defects of whole recordings that look like data, or hide what is there: each is named, and sound ones are not."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from board_files import BoardFile
-from test_what_is_no_load import DISC, FRAMES, NOISE, OFFSET, RATE_HZ, USED, analysed, counts, press, with_dead_drive
+from test_what_is_no_load import (
+    DISC,
+    FRAMES,
+    NOISE,
+    OFFSET,
+    RATE_HZ,
+    USED,
+    analysed,
+    block,
+    counts,
+    made,
+    press,
+    with_dead_drive,
+)
 from tiers import rest_but
 
 from cbsr_qa.analysis.defects.channels import find_faults
+from cbsr_qa.analysis.recording.analysis import AnalysisChoices, analyse_recording
 from cbsr_qa.analysis.recording.imaging import sheet_for, unit_model
 from cbsr_qa.analysis.recording.places import find_places, matcher
 from cbsr_qa.app.analyse.analyse import analyse_file
 from cbsr_qa.app.analyse.request import AnalyseRequest
-from cbsr_qa.domain.readings.frames import FrameBlock, ScanKind, VoltageUnit
+from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, ScanKind, VoltageUnit
 from cbsr_qa.eit.forward.coverage import disc_coverage
 from cbsr_qa.eit.inverse.problem import nominal_model
 from cbsr_qa.eit.loads.local import LocalUpdate
+from cbsr_qa_plugins.reconstruction.one_step import GaussNewtonNoser
 
 _K = np.arange(FRAMES)
 
@@ -190,3 +206,16 @@ def test_one_load_of_any_size_and_place_is_one(sheet, radius_mm):
         angle, r = random.uniform(0, 2 * np.pi), 0.8 * np.sqrt(random.uniform())
         load = (r * np.cos(angle), r * np.sin(angle), random.uniform(-0.3, 0.4))
         assert len(sheet([load], radius_mm, seed)) == 1
+
+
+@pytest.mark.parametrize(("since", "words"), [(0, ""), (40, f" since {40 / RATE_HZ:.1f} s")])
+def test_an_electrode_at_the_sources_limit_is_named_with_its_moment(since, words):
+    """Both of its drive pairs are flagged, and only those: 2 × 13 readings that would be used."""
+    flags = np.zeros((FRAMES, 16, 16), dtype=np.uint8)
+    flags[since:, [11, 12]] = ReadingFlag.COMPLIANCE
+    frames = replace(block(counts(press(0.4, 0.3, -60, 50, 90)), VoltageUnit.COUNT), flags=flags)
+    result = analyse_recording(made(frames), GaussNewtonNoser(), AnalysisChoices())
+    (said,) = (warning for warning in result.warnings if "may be open" in warning)
+    assert said.startswith(f"electrode 12 may be open{words}: all readings driven through electrodes 11–12, 12–13")
+    assert "(26 are saturated); check its pin" in said
+    assert not any("stand at an end; they" in warning for warning in result.warnings if warning != said)
