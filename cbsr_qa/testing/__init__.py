@@ -32,6 +32,7 @@ from cbsr_qa.testing.reconstructions import (
     elsewhere_readings as elsewhere_readings,
 )
 from cbsr_qa.testing.replaying import (
+    assert_replays as assert_replays,
     replay_pairs as replay_pairs,
     replay_transcript as replay_transcript,
 )

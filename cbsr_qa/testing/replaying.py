@@ -4,6 +4,7 @@ from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 
+from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.taps import use_tap
 from cbsr_qa.plugin.links.transcript import Pair, Transcript
@@ -39,3 +40,21 @@ def replay_pairs(role: str, pairs: Iterable[Pair], clock: Clock, *, end: bytes =
     """
     with use_tap(Replay(Transcript.from_pairs(role, pairs, end=end), None, clock)):
         yield
+
+
+def assert_replays(station: str, path: Path, *, ring_ohm: float | None = None) -> None:
+    """Make a station's check again from its transcript. AssertionError names every line that fails.
+
+    RefusedError if the transcript is not whole, or of other instruments.
+
+    Parameters
+    ----------
+    station : file or name, as at ``cbsr-qa station record``.
+    ring_ohm : as given there.
+    """
+    from cbsr_qa.app.station_check.check import CheckRequest, replay_check  # other tests need no application
+
+    results = replay_check(CheckRequest(station, ring_ohm=ring_ohm), path).result.results
+    failed = [f"{line.subject}, {line.name}: {line.said}" for line in results if line.outcome is CheckOutcome.FAILED]
+    if failed:
+        raise AssertionError("\n".join(failed))

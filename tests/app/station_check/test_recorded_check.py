@@ -17,7 +17,7 @@ from cbsr_qa.plugin import Kind
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.system.clock import VirtualClock
-from cbsr_qa.testing import replay_transcript
+from cbsr_qa.testing import assert_replays, replay_transcript
 
 BENCH_FILE = Path(__file__).parents[3] / "stations" / "bench-emulated.toml"
 BENCH = CheckRequest("bench-emulated", ring_ohm=10000.0)
@@ -93,6 +93,12 @@ def test_a_drivers_test_replays_its_own_instrument(recorded):
         instrument.close()
     (line,) = [line for line in result.results if line.name == "samples of temperature"]
     assert f"mean {samples.values.mean():.1f}" in line.said
+
+
+def test_the_kit_makes_a_test_of_a_transcript_and_names_what_fails(recorded):
+    assert_replays("bench-emulated", recorded[1], ring_ohm=10000.0)
+    with pytest.raises(AssertionError, match=r"reference ring, gain error: "):
+        assert_replays("bench-emulated", recorded[1], ring_ohm=20000.0)
 
 
 def test_an_existing_file_is_refused_before_anything_is_opened(recorded, monkeypatch, tmp_path):
