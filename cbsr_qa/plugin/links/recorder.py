@@ -61,7 +61,7 @@ class Recorder(Listener):
 
     Parameters
     ----------
-    path : file to write; it is taken away again if nothing passed.
+    path : file to write; it is taken away again if no link was opened.
 
     Raises
     ------
@@ -75,6 +75,8 @@ class Recorder(Listener):
         self._writing = threading.Lock()
         self._digest = hashlib.sha256()
         self.path = path
+        #: Whether a driver opened a link, or tried to.
+        self.has_links = False
         #: Events written of each instrument.
         self.events_by_role = dict.fromkeys((spec.role for spec in station.instruments), 0)
         with writing(path):
@@ -84,6 +86,10 @@ class Recorder(Listener):
                 raise RefusedError(f"{path} exists already", remedy="name another file") from None
         for line in head_lines(station.name, {spec.role: spec.driver for spec in station.instruments}):
             self._write_line(line)
+
+    def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
+        self.has_links = True
+        return super().connect(role, open_real)
 
     def note(self, role: str, sign: str, data: bytes) -> None:
         """Note and write an event; an empty one is ignored."""
@@ -100,7 +106,7 @@ class Recorder(Listener):
             events = sum(self.events_by_role.values())
             self._write_line(end_line(events, self._digest.hexdigest()))
             self._file.close()
-            if not events:
+            if not self.has_links:
                 self.path.unlink()
 
     def _write_line(self, line: str) -> None:
@@ -158,6 +164,7 @@ class _HeardLink:
         try:
             yield
         except Exception as error:
-            if not is_timeout(error):
+            closed = not getattr(self._link, "is_open", True)  # what waits in a port that is closed fails, always
+            if not closed and not is_timeout(error):
                 self._listener.note(self._role, "!", f"{type(error).__name__}: {error}".encode("ascii", "replace"))
             raise

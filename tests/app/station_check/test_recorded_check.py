@@ -148,7 +148,7 @@ def test_a_station_whose_instruments_have_no_link_leaves_no_transcript(monkeypat
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
     path = tmp_path / "none.txt"
     assert run_guarded(["station", "record", "simulated", "--to", str(path)]) == 0
-    assert "none: no bytes passed between drivers and instruments" in capsys.readouterr().out
+    assert "none: no instrument of this station has a serial port or VISA resource" in capsys.readouterr().out
     assert not path.exists()
 
 

@@ -209,10 +209,31 @@ def test_a_link_that_failed_to_open_fails_to_open_again_and_goes_on_when_it_is_o
         link.close()
 
 
-def test_a_recording_of_nothing_leaves_no_file(station, tmp_path):
+def test_what_fails_because_the_driver_closed_the_link_is_no_failure_of_it(station, tmp_path):
+    class Failing(Wire):
+        def read(self, size):
+            raise TypeError("'NoneType' object cannot be interpreted as an integer")
+
     recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    link = recorder.connect("load_cell", Failing)
+    with pytest.raises(TypeError):
+        link.read(1)
+    link.close()
+    with pytest.raises(TypeError):
+        link.read(1)
     recorder.close()
-    assert not (tmp_path / "t.txt").exists()
+    assert [event.sign for event in Transcript.read(tmp_path / "t.txt").events] == ["!"]
+
+
+@pytest.mark.parametrize("opened", [False, True])
+def test_a_recording_of_no_link_leaves_no_file_and_one_of_a_silent_link_does(station, tmp_path, opened):
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    if opened:
+        recorder.connect("load_cell", Wire)
+    recorder.close()
+    assert (tmp_path / "t.txt").exists() == opened
+    if opened:
+        assert Transcript.read(tmp_path / "t.txt").events == ()
 
 
 def test_pairs_of_a_drivers_test_are_replayed_to_a_link_with_their_line_ends():
