@@ -65,7 +65,11 @@ def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[t
                 yield noun, field, name, known_names
     for selected_part in selection.parts:
         if not any(selected_part.selects(part) for run in runs for part in run.parts):
-            yield "part", "parts", str(selected_part), {str(part) for run in runs for part in run.parts}
+            # The letters of a revision that was not asked for would decide which lot is near.
+            known_parts = {
+                part if selected_part.revision else replace(part, revision="") for run in runs for part in run.parts
+            }
+            yield "part", "parts", str(selected_part), {str(part) for part in known_parts}
 
 
 def check_names(store: Repository, selection: RunSelection, at: Callable[[str], str] = lambda field: "") -> None:

@@ -90,7 +90,10 @@ def test_an_unknown_part_is_refused_with_the_nearest(made):
     with pytest.raises(RefusedError) as caught:
         list_runs(store, ListRequest(select(store, "sheet=LOT9")))
     assert "no stored run is of part 'sheet=LOT9'" in str(caught.value)
-    assert "parts: board=9, sheet=LOT7/B" in str(caught.value)
+    assert "parts: board=9, sheet=LOT7, sheet=LOT8" in str(caught.value)
+    for text, near in (("sheet=lot7", "sheet=LOT7"), ("sheet=LOT7/b", B7)):
+        with pytest.raises(RefusedError, match=f"did you mean '{near}'"):
+            list_runs(store, ListRequest(select(store, text)))
 
 
 @pytest.mark.parametrize(
