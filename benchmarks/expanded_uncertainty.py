@@ -1,9 +1,10 @@
 """How often expanded uncertainties hold the truth, which is drawn from what the standards and the calibration state.
 
 ``python -m benchmarks.expanded_uncertainty`` draws 400 sensors with 30 loads each, in every setting, and prints the
-table of docs/explanation/uncertainty.md, in twenty minutes of one core. A sensor's load cell, stage, source
+table of docs/explanation/uncertainty.md, in half an hour of one core. A sensor's load cell, stage, source
 meter and temperature are drawn once, as are its response and the estimate of its scatter. Frames are those of the
-templates at the true place, and go through the runtime's inversion: the budget's own linear model is not used.
+templates at the true place, and go through the runtime's inversion: the budget's own linear model is not used. Each
+load is told on the day of calibration, where the load cell reads it too, and again in use.
 """
 
 import os
@@ -22,26 +23,27 @@ import numpy as np
 sys.path.insert(0, str(Path(__file__).resolve().parents[1] / "tests" / "samples"))
 
 from force_calibration import force_calibration
-from scipy.stats import t as student_t
 
+from benchmarks.uncertainty_rates import Told, compare_conformance, hold_rates, mean_shares, normalised_variance
 from cbsr_qa.calibration.force.inverse import ForceInverse, Forces, map_tables
 from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.sheet.response_processes import compute_covariance
-from cbsr_qa.calibration.uncertainty.budget import expand_forces
+from cbsr_qa.calibration.uncertainty.budget import ReferencePress, evaluate_errors, expand_forces
 from cbsr_qa.calibration.uncertainty.places import evaluate_places
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.standards import ReferenceStandard
 from cbsr_qa.domain.results.calibration import BaselineConductance, Calibration
-from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.sensor.sensor_type import Parameter
 
 _FORCES_N: Final = (1.0, 5.5)
 _RADIUS_MM: Final = 28.0
 _PRESSES: Final = 3
 _DATES: Final = ("Lab", "2026-01-01", "2027-01-01")
-_MAP: Final = "map between places"
 #: Smallest share of the variance of a component whose absence must show.
 _SHOWS: Final = 0.1
+#: Samples of the load cell during a frame, and their standard deviation [N].
+_SAMPLES: Final = 8
+_SAMPLE_N: Final = 0.02
 
 
 @dataclass(frozen=True)
@@ -110,27 +112,8 @@ def make_calibration(setting: Setting) -> Calibration:
         standards=standards,
         baseline=baseline,
         response_per_C=Parameter(setting.per_C, 0.0, "the setting"),
-        validity=replace(sample.validity, temperature_C=(20.0, 24.0)),
+        validity=replace(sample.validity, temperature_C=(20.0, 24.0), force_N=(0.5, 7.0)),
     )
-
-
-@dataclass(frozen=True)
-class Told:
-    """What one sensor told of its loads, and the truth.
-
-    Parameters
-    ----------
-    expanded : uncertainty of each force at the stated place.
-    error_N : (n,) told less true forces.
-    place_error_mm, place_U_mm : (n,) distances of told from true places, and stated radii.
-    map_correlation : (n, n) correlation of the map's errors at the places of the loads.
-    """
-
-    expanded: tuple[ExpandedForce, ...]
-    error_N: Array
-    place_error_mm: Array
-    place_U_mm: Array
-    map_correlation: Array
 
 
 def simulate_sensor(issued: Calibration, seed: int, loads: int) -> Told:
@@ -153,7 +136,7 @@ def simulate_sensor(issued: Calibration, seed: int, loads: int) -> Told:
     correlation = compute_covariance(stated_mm, stated_mm, 20.0, True) + 1e-6 * np.eye(loads)
     stderr = float(model.log_response_stderr[0])
     missed = stderr * np.linalg.cholesky(correlation) @ random.standard_normal(loads)
-    missed += scatter * random.standard_normal(loads)
+    scattered = missed + scatter * random.standard_normal(loads)
     # the line turns about the stress in the middle, as it was fitted
     turned = random.standard_normal()
     slope = line.slope.value + np.sign(line.covariance or 1.0) * (line.slope.stderr or 0.0) * turned
@@ -163,85 +146,76 @@ def simulate_sensor(issued: Calibration, seed: int, loads: int) -> Told:
     # presses, displaced by the stage; the frame is that of the true place
     offset_mm = stage.standard_uncertainty * random.standard_normal(2)
     pressed_mm = stated_mm + offset_mm
-    true_map = inverse.strength(true_N, pressed_mm)
-    of_map = 2 * true_map / (2 - true_map)
-    change = of_map * (slope * stress_kPa + intercept) / (line.slope.value * stress_kPa + line.intercept.value)
-    contrast = change * np.exp(missed)
-    strength = 2 * contrast / (2 + contrast)
+
+    def rows_of(place_mm: Array, log_missed: Array, residue: Array) -> Array:
+        true_map = inverse.strength(true_N, place_mm)
+        of_map = 2 * true_map / (2 - true_map)
+        change = of_map * (slope * stress_kPa + intercept) / (line.slope.value * stress_kPa + line.intercept.value)
+        contrast = change * np.exp(log_missed)
+        strength = 2 * contrast / (2 + contrast) + residue
+        return strength[:, None] * matched.template(place_mm)
+
     left = np.hypot(model.residue_share, model.residue_stderr) * model.residue_strength
-    strength += left * random.standard_normal(loads)
     gain = _draw_rectangle(random, meter.drift_uncertainty(1.0) or 0.0)
-    rows = strength[:, None] * matched.template(pressed_mm)
-    rows += gain * (model.merging @ issued.reference[issued.reconstruction.problem.used])
-    rows += random.standard_normal(rows.shape)
+    rows = rows_of(pressed_mm, scattered, left * random.standard_normal(loads))
+    day_rows = rows + random.standard_normal(rows.shape)
+    rows = day_rows + gain * (model.merging @ issued.reference[issued.reconstruction.problem.used])
 
-    # told as the runtime does, with newtons of the load cell, at another temperature
-    told_N, _ = inverse.force(matched.match_at(rows, stated_mm))
+    # told as the runtime does, with newtons of the load cell; in use at another temperature
     years = 324 / 365.25
-    factor = load_cell.standard_uncertainty * random.standard_normal()
-    factor += _draw_rectangle(random, load_cell.drift_uncertainty(years) or 0.0)
+    of_cell = load_cell.standard_uncertainty * random.standard_normal()
+    of_cell += _draw_rectangle(random, load_cell.drift_uncertainty(years) or 0.0)
+    step_N = (load_cell.resolution or 0.0) / np.sqrt(12)
+    added_N = _draw_rectangle(random, step_N)
     warmth_C = _draw_rectangle(random, 4 / np.sqrt(12)) + thermometer.standard_uncertainty * random.standard_normal()
-    factor += issued.response_per_C.value * warmth_C
-    told_N = told_N * (1 + factor) + _draw_rectangle(random, (load_cell.resolution or 0.0) / np.sqrt(12))
 
-    nothing, none = np.zeros(loads), np.zeros(loads, dtype=np.int64)
-    forces = Forces(told_N, nothing, stated_mm, nothing, nothing, none, nothing)
-    expanded = [one for one in expand_forces(issued, forces) if one is not None]
+    def tell(rows: Array, factor: float) -> Array:
+        return inverse.force(matched.match_at(rows, stated_mm))[0] * (1 + factor) + added_N
+
+    told_N, day_N = tell(rows, of_cell + issued.response_per_C.value * warmth_C), tell(day_rows, of_cell)
+    # the sensor's own error is that of loads exactly there, over all scatter and noise
+    own_error_N = tell(rows_of(stated_mm, missed, np.zeros(loads)), of_cell) - true_N
+
+    read_N = true_N * (1 + of_cell) + _draw_rectangle(random, step_N)
+    presses = _read_presses(random, read_N, stated_mm, model.steady_s)
+    nothing = np.zeros(loads)
+    forces = Forces(told_N, nothing, stated_mm, nothing, nothing, nothing.astype(np.int64), nothing)
     # places in the stage's millimetres: the sheet lies where the stage's readings say
     found_mm = matched.search(rows).place_mm + model.place_scatter_mm * random.standard_normal((loads, 2)) + offset_mm
-    stated_places = [(x_mm, y_mm) for x_mm, y_mm in pressed_mm.tolist()]
-    radii_mm = [
-        evaluate_places(issued, [force_N], [place_mm])[0].U_mm
-        for force_N, place_mm in zip(true_N.tolist(), stated_places, strict=True)
+    return Told(
+        tuple(one for one in expand_forces(issued, forces) if one is not None),
+        told_N - true_N,
+        day_N - true_N,
+        evaluate_errors(issued, presses),
+        day_N - np.array([press.force_N for press in presses]),
+        own_error_N,
+        random.uniform(0.1, 2.5, loads) * np.hypot(stderr, load_cell.standard_uncertainty) * true_N,
+        np.hypot(*(found_mm - pressed_mm).T),
+        _expand_places(issued, true_N, pressed_mm),
+        correlation,
+    )
+
+
+def _read_presses(
+    random: np.random.Generator, force_N: Array, stated_mm: Array, settling_s: float
+) -> list[ReferencePress]:
+    """Draw what the load cell reads during the frame of each press."""
+    samples_N = force_N[:, None] + _SAMPLE_N * random.standard_normal((len(force_N), _SAMPLES))
+    stderr_N = samples_N.std(axis=1, ddof=1) / np.sqrt(_SAMPLES)
+    read = np.column_stack([stated_mm, samples_N.mean(axis=1), stderr_N]).tolist()
+    return [
+        ReferencePress((x_mm, y_mm), settling_s, mean_N, error_N, _SAMPLES) for x_mm, y_mm, mean_N, error_N in read
     ]
-    place_error_mm = np.hypot(*(found_mm - pressed_mm).T)
-    return Told(tuple(expanded), told_N - true_N, place_error_mm, np.array(radii_mm), correlation)
+
+
+def _expand_places(issued: Calibration, force_N: Array, place_mm: Array) -> Array:
+    """Return the stated radii (n,) of places [mm]."""
+    loads = zip(force_N.tolist(), place_mm.tolist(), strict=True)
+    return np.array([evaluate_places(issued, [force], [(x_mm, y_mm)])[0].U_mm for force, (x_mm, y_mm) in loads])
 
 
 def _draw_rectangle(random: np.random.Generator, standard_uncertainty: float) -> float:
     return float(random.uniform(-1, 1)) * standard_uncertainty * np.sqrt(3)
-
-
-def hold_rates(told: Sequence[Told]) -> dict[str, tuple[float, float]]:
-    """Share of forces and places that U holds, with standard errors by sensors."""
-    rates = {"force": [float(np.mean(np.abs(one.error_N) <= [e.U_N for e in one.expanded])) for one in told]}
-    rates["place"] = [float(np.mean(one.place_error_mm <= one.place_U_mm)) for one in told]
-    return {what: (float(np.mean(by)), float(np.std(by, ddof=1) / np.sqrt(len(by)))) for what, by in rates.items()}
-
-
-def normalised_variance(told: Sequence[Told], without: str | None = None) -> tuple[float, float]:
-    """Mean of eᵀ C⁻¹ e over the loads, C the stated covariance of a sensor's errors e, without a component.
-
-    Returns
-    -------
-    The mean, 1 if the budget is right, and p of a mean of at most 1. Sensors are independent, their loads are not:
-    each sensor is one value of a t-test.
-    """
-    by_sensor = np.array([_normalise(one, without) for one in told])
-    mean, stderr = float(by_sensor.mean()), float(by_sensor.std(ddof=1) / np.sqrt(len(by_sensor)))
-    return mean, float(student_t.sf((mean - 1) / stderr, len(by_sensor) - 1))
-
-
-def _normalise(told: Told, without: str | None) -> float:
-    covariance = np.zeros((len(told.error_N), len(told.error_N)))
-    for name, dof, is_shared in {(part.name, part.dof, part.shared) for part in told.expanded[0].components}:
-        if name == without:
-            continue
-        by_load = [{part.name: part.contribution for part in expanded.components} for expanded in told.expanded]
-        contribution = np.array([contributions[name] for contributions in by_load])
-        # an estimate of few degrees of freedom has errors that are distributed as t, whose variance is larger
-        contribution = contribution * (1.0 if np.isinf(dof) else np.sqrt(dof / (dof - 2)))
-        correlation = np.ones_like(covariance) if is_shared else np.eye(len(covariance))
-        correlation = told.map_correlation if name == _MAP else correlation
-        covariance += np.outer(contribution, contribution) * correlation
-    return float(told.error_N @ np.linalg.solve(covariance, told.error_N)) / len(told.error_N)
-
-
-def mean_shares(told: Sequence[Told]) -> dict[str, float]:
-    """Mean share of the variance of each component, over all loads."""
-    names = [part.name for part in told[0].expanded[0].components]
-    shares = [{part.name: part.share for part in expanded.components} for one in told for expanded in one.expanded]
-    return {name: float(np.mean([share[name] for share in shares])) for name in names}
 
 
 def describe_setting(name: str, told: Sequence[Told]) -> list[str]:
@@ -250,6 +224,8 @@ def describe_setting(name: str, told: Sequence[Told]) -> list[str]:
     mean, _ = normalised_variance(told)
     held = ", ".join(f"{what} {100 * rate:.1f} ± {100 * stderr:.1f} %" for what, (rate, stderr) in rates.items())
     lines = [f"{name}: held {held}; normalised variance {mean:.3f}"]
+    for stated, share, stderr, count in compare_conformance(told):
+        lines.append(f"    conformance {stated:.3f} stated, {share:.3f} ± {stderr:.3f} of {count} loads conform")
     for part, share in sorted(mean_shares(told).items(), key=lambda item: -item[1]):
         without, p_value = normalised_variance(told, part)
         shows = f"p = {p_value:.1g}" if share >= _SHOWS else f"U × {np.sqrt(max(1 - share, 0)):.4f} without it"

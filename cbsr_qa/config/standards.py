@@ -1,21 +1,28 @@
 """``[standards]`` of station files: certificates of what forces, heads, places, temperature and readings rest on."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from datetime import date
+from math import sqrt
 from typing import Annotated, Any, Final, Literal
 
 from pydantic import ConfigDict, Field
 
 from cbsr_qa.config.tables import PRINTABLE, FileModel, IsoDate, as_domain
-from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole
+from cbsr_qa.domain.plan.standards import PERCENT, ROLE_UNITS, ReferenceStandard, StandardRole
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.plugin.problems import Problem, Table
 
 _Text = Annotated[str, Field(min_length=1, max_length=200), PRINTABLE]
 #: Largest coverage factor: k of 95 % with a single degree of freedom is 12.7.
 _LARGEST_K = 14.0
-#: Expanded uncertainty relative to a value from which nothing is known of it [%].
-_LARGEST_PERCENT = 100.0
+#: Largest expanded uncertainty, and drift in a year, relative to the value: with u of a tenth, terms of second order
+#: are a tenth of u.
+_LARGEST_PERCENT: Final = 20.0
+#: Largest share of a range that a step may be: half of a step is then 5 % of the greatest value.
+_LARGEST_STEP: Final = 0.1
+#: Least expanded uncertainties, below what national institutes state for such quantities.
+_LEAST: Final = {"N": 1e-7, "mm": 1e-6, "°C": 1e-4}
+_LEAST_PERCENT: Final = {StandardRole.LOAD_CELL: 1e-3, StandardRole.INDENTER: 1e-3, StandardRole.SOURCE_METER: 1e-6}
 
 
 #: Ends of the keys of a role's range and resolution.
@@ -43,15 +50,50 @@ class _StandardTable(Table):
     drift_a_year: Annotated[float, Field(ge=0, le=1e6)] | None = None
 
     def problems(self, role: StandardRole) -> Iterator[Problem]:
-        if self.unit == PERCENT and self.uncertainty >= _LARGEST_PERCENT:
-            finding = f"is {self.uncertainty:g} %, which states nothing of the value"
-            yield Problem(("standards", role, "uncertainty"), finding, f"allowed: below {_LARGEST_PERCENT:g} %")
+        least = _LEAST_PERCENT[role] if self.unit == PERCENT else _LEAST[self.unit]
+        if self.uncertainty < least:
+            finding = f"is {self.uncertainty:g} {self.unit}, less than national institutes reach"
+            yield Problem(("standards", role, "uncertainty"), finding, f"allowed: at least {least:g} {self.unit}")
         if not date.fromisoformat(self.date) < date.fromisoformat(self.due):
             yield Problem(("standards", role, "due"), f"{self.due} is not after the date of calibration, {self.date}")
         covered = self._select_by_unit(role, "range")
         if covered is not None and not covered[0] < covered[1]:
             key = f"range_{_SUFFIXES[role]}"
             yield Problem(("standards", role, key), "is no range; give the lowest and then the highest")
+
+    def size_problems(self, role: StandardRole, span: float | None) -> Iterator[Problem]:
+        """Yield what is too large for the range, or contradicts the resolution.
+
+        Parameters
+        ----------
+        span : width of the station's range of this quantity, where the certificate states none; None if unknown.
+        """
+        covered = self._select_by_unit(role, "range")
+        width = span if covered is None else covered[1] - covered[0]
+        whole = 100.0 if self.unit == PERCENT else width
+        for key, value in (("uncertainty", self.uncertainty), ("drift_a_year", self.drift_a_year or 0.0)):
+            if whole is not None and whole > 0 and value > whole * _LARGEST_PERCENT / 100:
+                of_range = "" if self.unit == PERCENT else f", of a range of {whole:g} {self.unit}"
+                finding = f"is {value:g} {self.unit}{of_range}"
+                most = whole * _LARGEST_PERCENT / 100
+                yield Problem(("standards", role, key), finding, f"allowed: at most {most:g} {self.unit}")
+        step = self._select_by_unit(role, "resolution")
+        if step is None:
+            return
+        key = f"resolution_{_SUFFIXES[role]}"
+        if width is not None and step > width * _LARGEST_STEP > 0:
+            finding = f"is {step:g}, of a range of {width:g} {ROLE_UNITS[role]}"
+            yield Problem(("standards", role, key), finding, f"allowed: at most {width * _LARGEST_STEP:g}")
+            return
+        of_percent = covered[1] if covered is not None else span
+        scale = (0.0 if of_percent is None else of_percent / 100) if self.unit == PERCENT else 1.0
+        u, of_step = self.uncertainty / self.k * scale, step / sqrt(12)
+        if 0 < u < of_step:
+            unit = ROLE_UNITS[role]
+            finding = f"means u = {u:.3g} {unit} at most, and steps of {step:g} {unit} alone are {of_step:.3g} {unit}"
+            yield Problem(
+                ("standards", role, "uncertainty"), finding, f"give one with its resolution, or correct {key}"
+            )
 
     def to_domain(self, role: StandardRole) -> ReferenceStandard:
         low, high = self._select_by_unit(role, "range") or (None, None)
@@ -114,6 +156,35 @@ class StandardsTable(Table):
         for role, table in self.tables():
             yield from table.problems(role)
 
+    def size_problems(self, spans: Mapping[StandardRole, float]) -> Iterator[Problem]:
+        """Yield what does not fit the range of its quantity: the certificate's, else the station's.
+
+        Parameters
+        ----------
+        spans : widths of the station's ranges [N, mm, °C], by role.
+        """
+        for role, table in self.tables():
+            yield from table.size_problems(role, spans.get(role))
+
+    def instrument_problems(self, provided: Collection[str], currents_mA: Mapping[str, float]) -> Iterator[Problem]:
+        """Yield certificates of what the station does not measure, or not with such a current.
+
+        Parameters
+        ----------
+        provided : roles that the station's instruments provide.
+        currents_mA : stated drive currents, by instrument.
+        """
+        if self.thermometer is not None and "temperature" not in provided:
+            finding = 'is stated, and no instrument provides "temperature"'
+            yield Problem(("standards", "thermometer"), finding, "leave it out, or add the thermometer's instrument")
+        covered = None if self.source_meter is None else self.source_meter.range_mA
+        for name, current_mA in currents_mA.items():
+            if covered is not None and not covered[0] <= current_mA <= covered[1]:
+                finding = (
+                    f"is {covered[0]:g} to {covered[1]:g} mA, and instruments.{name}.current_mA {current_mA:g} mA"
+                )
+                yield Problem(("standards", "source_meter", "range_mA"), finding, "drive a current that it covers")
+
     def head_problems(self, head: Indenter) -> Iterator[Problem]:
         """Yield contradictions with the station's head."""
         if self.indenter is not None and self.indenter.unit == "mm" and head.outline_mm:
@@ -159,6 +230,7 @@ class StandardsFile(FileModel[tuple[ReferenceStandard, ...]]):
             roles = " or ".join(f"[standards.{role}]" for role in StandardRole)
             yield Problem(("standards",), "states no standard", f"give {roles}")
         yield from self.standards.problems()
+        yield from self.standards.size_problems({})
 
     def to_domain(self) -> tuple[ReferenceStandard, ...]:
         return self.standards.to_domain()

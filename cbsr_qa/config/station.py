@@ -25,6 +25,7 @@ from cbsr_qa.domain.plan.plan import (
     Station,
     SyncSettings,
 )
+from cbsr_qa.domain.plan.standards import StandardRole
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.problems import Problem, Table
@@ -301,8 +302,21 @@ class StationFile(FileModel[Station]):
             yield from self.certificate.problems()
         if not any(problem.path[0] == "indenter" for problem in self.indenter.problems()):
             yield from self.standards.problems()
+            yield from self.standards.size_problems(self._list_spans())
             yield from self.standards.head_problems(self.indenter.to_domain())
             yield from self.standards.temperature_problems(self.safety.temperature_C)
+            provided = [role for table in self.instruments.values() for role in table.provides]
+            options = {name: table.options.get("current_mA") for name, table in self.instruments.items()}
+            currents_mA = {name: float(value) for name, value in options.items() if isinstance(value, int | float)}
+            yield from self.standards.instrument_problems(provided, currents_mA)
+
+    def _list_spans(self) -> dict[StandardRole, float]:
+        """Return the widths of the station's ranges of force, place and temperature [N, mm, °C]."""
+        spans = {StandardRole.LOAD_CELL: self.safety.force_N, StandardRole.STAGE: 2 * self.safety.travel_radius_mm}
+        if self.safety.temperature_C is not None:
+            lowest_C, highest_C = self.safety.temperature_C
+            spans[StandardRole.THERMOMETER] = highest_C - lowest_C
+        return spans
 
     def _emulation_problems(self) -> Iterator[Problem]:
         emulated_roles = [

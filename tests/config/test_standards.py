@@ -27,9 +27,12 @@ unit = "%"
 def read(tmp_path):
     shipped = load_station("simulated").document.text
 
-    def read_station(standards, change=("", "")):
-        path = tmp_path / "mine.toml"
-        path.write_text(shipped.replace(*change) + standards)
+    def read_station(standards, *changes):
+        path, text = tmp_path / "mine.toml", shipped
+        for given, instead in changes:
+            assert given in text
+            text = text.replace(given, instead)
+        path.write_text(text + standards)
         return load_station(path).value
 
     return read_station
@@ -57,7 +60,16 @@ def test_a_station_without_certificates_states_none(read):
         ("uncertainty = 0.5", "uncertainty = 0", "standards.load_cell.uncertainty is 0"),
         ("uncertainty = 0.5", "uncertainty = -0.5", "standards.load_cell.uncertainty is -0.5"),
         ("uncertainty = 0.5", "uncertainty = nan", "standards.load_cell.uncertainty is not a finite number"),
-        ("uncertainty = 0.5", "uncertainty = 200", "standards.load_cell.uncertainty is 200 %, which states nothing"),
+        ("uncertainty = 0.5", "uncertainty = 99", "standards.load_cell.uncertainty is 99 %; allowed: at most 20 %"),
+        ("uncertainty = 0.5", "uncertainty = 1e-300", "standards.load_cell.uncertainty is 1e-300 %, less than"),
+        ("k = 2", "k = 2\ndrift_a_year = 50", "standards.load_cell.drift_a_year is 50 %; allowed: at most 20 %"),
+        (
+            "k = 2",
+            "k = 2\nresolution_N = 1000",
+            "standards.load_cell.resolution_N is 1000, of a range of 20 N; allowed",
+        ),
+        ('"%"', '"N"\nrange_N = [0.0, 2.0]', "standards.load_cell.uncertainty is 0.5 N, of a range of 2 N; allowed"),
+        ("k = 2", "k = 2\nresolution_N = 0.5", "u = 0.05 N at most, and steps of 0.5 N alone are 0.144 N"),
         ("k = 2", "k = 0.5", "standards.load_cell.k is 0.5"),
         ('"K-2026-0711"', '""', "standards.load_cell.certificate is ''"),
         ('"2027-03-31"', '"2026-03-02"', "standards.load_cell.due 2026-03-02 is not after the date of calibration"),
@@ -117,8 +129,11 @@ range_mA = [0.1, 1.0]
 """
 
 
+_WITH_THERMOMETER = ('"force"]', '"force", "temperature"]')
+
+
 def test_what_places_and_reads_is_stated_beside_the_load_cell(read):
-    standards = read(_STATED + _STAGE + _THERMOMETER + _SOURCE_METER).standards
+    standards = read(_STATED + _STAGE + _THERMOMETER + _SOURCE_METER, _WITH_THERMOMETER).standards
     assert [standard.role for standard in standards] == ["load_cell", "stage", "thermometer", "source_meter"]
     stage, source_meter = standards[1], standards[3]
     assert (stage.range_low, stage.range_high, stage.resolution, stage.drift_a_year) == (0.0, 250.0, 0.01, 0.03)
@@ -144,6 +159,16 @@ def test_the_drift_of_a_standard_is_a_rectangle_that_grows_from_its_date():
         (_STAGE, 'unit = "mm"', "", "standards.stage.unit is missing"),
         (_STAGE, 'unit = "mm"', 'unit = "%"', "standards.stage.unit is '%'"),
         (_STAGE, "0.02", "-0.02", "standards.stage.uncertainty is -0.02"),
+        (_STAGE, "0.02", "1e-9", "standards.stage.uncertainty is 1e-09 mm, less than national institutes reach"),
+        (_STAGE, "0.02", "60", "standards.stage.uncertainty is 60 mm, of a range of 250 mm; allowed: at most 50 mm"),
+        (_STAGE, "0.02", "0.001", "standards.stage.uncertainty means u = 0.0005 mm at most, and steps of 0.01 mm"),
+        (_STAGE, "= 0.03", "= 80.0", "standards.stage.drift_a_year is 80 mm, of a range of 250"),
+        (
+            _THERMOMETER,
+            "k = 2",
+            "k = 2\nresolution_C = 5.0",
+            "standards.thermometer.resolution_C is 5, of a range of 30",
+        ),
         (_STAGE, "0.03", "-0.03", "standards.stage.drift_a_year is -0.03"),
         (_STAGE, "resolution_mm = 0.01", "resolution_mm = 0", "standards.stage.resolution_mm is 0"),
         (_STAGE, "[0.0, 250.0]", "[250.0, 0.0]", "standards.stage.range_mm is no range"),
@@ -160,13 +185,37 @@ def test_what_another_certificate_cannot_state_is_refused(read, table, given, in
     assert said in caught.value.reason
 
 
+def test_a_thermometer_that_measures_nothing_is_refused(read):
+    with pytest.raises(
+        ConfigError, match=r'standards\.thermometer is stated, and no instrument provides "temperature"'
+    ):
+        read(_THERMOMETER)
+    assert read(_THERMOMETER, _WITH_THERMOMETER).standards
+
+
+@pytest.mark.parametrize(("current_mA", "is_covered"), [("0.4", True), ("1", True), ("0.05", False), ("2", False)])
+def test_a_source_meter_covers_the_current_that_the_station_states(tmp_path, current_mA, is_covered):
+    shipped = load_station("bench-emulated").document.text
+    path = tmp_path / "mine.toml"
+    path.write_text(shipped.replace("\ncurrent_mA = 0.4", f"\ncurrent_mA = {current_mA}") + _SOURCE_METER)
+    if is_covered:
+        assert load_station(path).value.standards
+        return
+    with pytest.raises(ConfigError) as caught:
+        load_station(path)
+    said = f"standards.source_meter.range_mA is 0.1 to 1 mA, and instruments.{{}}.current_mA {current_mA} mA"
+    before, after = said.split("{}")
+    assert before in caught.value.reason
+    assert after in caught.value.reason
+
+
 def test_a_thermometer_covers_the_temperatures_that_the_station_allows(read):
     allowed = ("duration_h = ", "temperature_C = [5.0, 30.0]\nduration_h = ")
     with pytest.raises(
         ConfigError, match=r"standards\.thermometer\.range_C is 10 to 40 °C, and safety\.temperature_C"
     ):
-        read(_THERMOMETER, allowed)
-    assert read(_THERMOMETER, (allowed[0], allowed[1].replace("5.0", "15.0"))).standards
+        read(_THERMOMETER, _WITH_THERMOMETER, allowed)
+    assert read(_THERMOMETER, _WITH_THERMOMETER, (allowed[0], allowed[1].replace("5.0", "15.0"))).standards
 
 
 @pytest.mark.parametrize(

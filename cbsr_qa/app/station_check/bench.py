@@ -13,7 +13,7 @@ from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
-from cbsr_qa.domain.plan.standards import is_dated_later, name_unstated, past_due
+from cbsr_qa.domain.plan.standards import StandardRole, find_standard, is_dated_later, name_unstated, past_due
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
@@ -298,6 +298,12 @@ class _Look:
             return self._add(_error_result(RING, "readings", error))
         self.found.ring = RingReadings(frames, resistances_ohm)
         self.found.lines += check_ring(self.found.ring, sensor_type.pattern, ring)
+        meter = find_standard(self.configuration.station.standards, StandardRole.SOURCE_METER)
+        current_mA = 1e3 * (frames.current_A or 0.0)
+        if meter is not None and current_mA and not meter.covers(current_mA):
+            said = f"{current_mA:.3g} mA were driven; certificate {meter.certificate} covers {meter.range_words()}"
+            remedy, subject = "drive a current that it covers: others get no U", f"standards.{meter.role}"
+            self._add(CheckResult("range", CheckOutcome.FAILED, said=said, remedy=remedy, subject=subject))
         return None
 
     def close(self, after: tuple[Action, ...]) -> None:

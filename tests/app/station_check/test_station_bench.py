@@ -217,6 +217,20 @@ def test_a_fault_of_the_bench_is_a_line_that_fails(bench, spoil, line, said, mea
     assert bench.script.count("frame_source.safe_state") == 1
 
 
+@pytest.mark.parametrize(("current_A", "is_covered"), [(0.4e-3, True), (5e-3, False), (None, True)])
+def test_a_current_beyond_the_source_meters_certificate_is_a_line(simulated, current_A, is_covered):
+    meter = replace(LOAD_CELL, role="source_meter", certificate="Q-9", range_low=0.1, range_high=1.0)
+    bench = Bench(simulated, standards=(meter,))
+    frames = bench.instruments["frame_source"]
+    acquire = frames.acquire
+    frames.acquire = lambda count: replace(acquire(count), current_A=current_A)
+    bench.look(RING, lambda words: True)
+    line = bench.lines.get(("standards.source_meter", "range"))
+    assert (line is None) is is_covered
+    if line is not None:
+        assert (line.outcome, line.said) == (FAILED, "5 mA were driven; certificate Q-9 covers 0.1 to 1 mA")
+
+
 def test_on_a_real_bench_the_operator_connects_the_ring_first(bench):
     asked = []
     found = bench.look(RING, lambda words: asked.append(words) or True)

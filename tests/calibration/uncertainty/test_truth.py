@@ -5,14 +5,8 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.expanded_uncertainty import (
-    SETTINGS,
-    hold_rates,
-    make_calibration,
-    mean_shares,
-    normalised_variance,
-    simulate_sensor,
-)
+from benchmarks.expanded_uncertainty import SETTINGS, make_calibration, simulate_sensor
+from benchmarks.uncertainty_rates import compare_conformance, hold_rates, mean_shares, normalised_variance
 from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
 
 SENSORS, LOADS = 60, 12
@@ -31,6 +25,25 @@ def test_u_holds_forces_and_places_of_95_percent(told):
         assert stderr < 0.03
     mean, _ = normalised_variance(told)
     assert mean == pytest.approx(1, abs=0.15)
+
+
+@pytest.mark.rest
+def test_stated_probabilities_of_conformance_are_the_shares_that_conform():
+    """Nothing is supposed of a sensor's errors beforehand: where they are many times u, the shares agree."""
+    issued = make_calibration(SETTINGS["a map of few places"])
+    told = [simulate_sensor(issued, seed, 30) for seed in range(2 * SENSORS)]
+    bins = compare_conformance(told)
+    assert len(bins) == 7
+    for stated, share, stderr, count in bins:
+        assert count >= 30
+        assert abs(share - stated) < 3 * stderr + 0.06
+
+
+@pytest.mark.rest
+def test_loads_conform_at_least_as_often_as_stated_where_errors_are_small(told):
+    """The errors of usual sensors are near zero, which the probability does not suppose."""
+    for stated, share, stderr, _ in compare_conformance(told):
+        assert share > stated - 3 * stderr
 
 
 @pytest.mark.rest
