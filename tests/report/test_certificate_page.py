@@ -139,6 +139,7 @@ def test_no_load_that_was_held_out_disappears():
         " no error: no force was recorded."
     )
     assert said in text_of(render_certificate(certificate(left_out=(*outside, silent)), ""))
+    assert "1 lies outside the range" in describe_checked(certificate(left_out=outside[:1]))
     assert describe_checked(certificate()) == "2 of 2 held-out loads are checked."
 
 

@@ -4,6 +4,7 @@ import json
 import re
 import sqlite3
 from contextlib import closing
+from dataclasses import replace
 from datetime import date
 from types import SimpleNamespace
 
@@ -15,8 +16,11 @@ from synced import run_of
 
 import cbsr_qa as qa
 from cbsr_qa.app.certificate import compose
+from cbsr_qa.app.certificate.checked_loads import check_loads
 from cbsr_qa.app.certificate.compose import add_months, choose_places, number_certificate
 from cbsr_qa.app.certificate.verify import verify_certificate
+from cbsr_qa.app.run.decided_again import judging_recipe
+from cbsr_qa.calibration.file.hdf5 import calibration_of
 from cbsr_qa.calibration.file.keys import new_key
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.loader import load_certificate_settings, load_station
@@ -75,6 +79,9 @@ def test_a_certificate_is_issued_by_the_contract_and_holds(place):
         assert (verified["valid"], verified["why"], verified["recorded"]) == (True, "", True)
     page = (place.folder / made["html"]).read_text()
     assert "Robots plc" in page
+    for document in (page, (place.folder / made["dcc"]).read_text()):
+        assert "4 of 5 held-out loads are checked; 1 lies outside the range" in document
+        assert "without: drift of the load cell" in document
     assert "<ul>\n<li>Simulated: bench: simulated bench" in page
 
 
@@ -398,6 +405,27 @@ def test_a_run_without_a_calibration_or_a_result_is_named(tmp_path, monkeypatch,
         assert run_guarded(["certificate", name, "--to", str(tmp_path / "out"), "--database", str(database)]) == 2
         assert said in capsys.readouterr().err
     assert not (tmp_path / "out").exists()
+
+
+@REST
+def test_held_out_loads_are_checked_or_named_whatever_the_range(place):
+    """A range that fewer loads agree with moves loads from one list to the other, with the same errors."""
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+        record, stored = store.runs.load(run), store.analyses.load(run)[0]
+        file, digest = store.calibrations.load_file(stored.calibration)
+        recipe = judging_recipe(store, run, stored)
+    issued = calibration_of(file, issued=digest)
+    wide, narrow = (
+        replace(issued, validity=replace(issued.validity, force_N=(0.0, high_N))) for high_N in (100.0, 2.0)
+    )
+    everything, nothing = check_loads(record, recipe, qa.Calibration(wide), None)
+    some, others = check_loads(record, recipe, qa.Calibration(narrow), None)
+    assert (len(everything), nothing) == (5, ())
+    assert 0 < len(others) < 5
+    errors_N = {load.reference_N: load.error_N for load in (*some, *others)}
+    assert errors_N == {load.reference_N: load.error_N for load in everything}
+    assert all(not load.why and load.reference_N > 2.0 for load in others)
 
 
 def test_months_end_with_the_month():
