@@ -62,8 +62,11 @@ def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield _texts("Where it may be used", _validity(shown))
     yield Section("Baseline conductance", (_baseline(shown.baseline_conductance),))
     yield _texts("Force", _force(shown))
-    if shown.expanded_forces:
-        yield Section("Expanded uncertainty of force", (_tabulate_expanded_forces(shown.expanded_forces),))
+    title = "Expanded uncertainty of force"
+    if shown.no_expanded_forces is None:
+        yield Section(title, (_tabulate_expanded_forces(shown.expanded_forces),))
+    else:
+        yield _texts(title, iter([f"None is stated: {shown.no_expanded_forces}."]))
     yield Section("Settling", (_settling(shown.settling),))
     other_fields = {path: field for path, field in shown.values.items() if not path.startswith(_IN_SECTIONS)}
     rows = [(path, field.units, field.text) for path, field in other_fields.items() if field.listed]

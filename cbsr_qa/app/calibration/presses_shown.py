@@ -2,6 +2,7 @@
 
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Final
 
 from cbsr_qa.app.calibration.calibrate import HeldOut, press_facts
 from cbsr_qa.domain.filling import fill_from_object
@@ -9,6 +10,8 @@ from cbsr_qa.domain.plan.standards import ReferenceStandard, describe_force_erro
 from cbsr_qa.domain.results.press_calibration import LeftOutPress, PressCalibration, SheetRegistration, SourceFile
 from cbsr_qa.domain.results.report import Banner, CommandOutcome
 from cbsr_qa.report.page import answer
+
+_NO_BUDGET: Final = "no budget is made of forces that are learned from labelled presses"
 
 
 @dataclass(frozen=True, slots=True)
@@ -20,6 +23,7 @@ class ShownPressCalibration:
     made_by : states that no station made it.
     sources : files it was made from, with their SHA-256.
     force_error : what errors of force include.
+    no_expanded_forces : why no expanded uncertainty is stated.
     standards : reference standards that the presses stated.
     readings : distinct ones; ``rest`` whether changes refer to its own unloaded frames.
     """
@@ -39,6 +43,7 @@ class ShownPressCalibration:
     registration: SheetRegistration
     held_out: HeldOut
     force_error: str
+    no_expanded_forces: str
     standards: tuple[ReferenceStandard, ...]
     findings: tuple[str, ...]
 
@@ -53,6 +58,7 @@ def press_calibration_outcome(path: Path, held: PressCalibration) -> CommandOutc
         registration=held.registration,
         held_out=HeldOut.from_calibration(held),
         force_error=describe_force_error(held.standards),
+        no_expanded_forces=_NO_BUDGET,
     )
     facts = [
         ("Issued at", held.issued_at),
@@ -64,6 +70,7 @@ def press_calibration_outcome(path: Path, held: PressCalibration) -> CommandOutc
         ),
         *((f"From {source.role}", f"{source.name}, SHA-256 {source.digest}") for source in held.sources),
         *press_facts(held),
+        ("Expanded uncertainty", f"none: {_NO_BUDGET}"),
     ]
     outcome = answer(shown_calibration, "", "", facts, [("SHA-256", held.digest)], held.findings)
     banner = Banner("plain", "●", f"Calibration of a {held.sensor_type} from labelled presses", "")

@@ -248,7 +248,8 @@ class ShownCalibration:
     values : every field of the file by its path, as named in its field table (``Calibration``).
     abilities : what the sensor does, in sentences.
     force_error : what standard errors of force include.
-    expanded_forces : forces over the range with U and k; none without a force model or a measured range of force.
+    expanded_forces : forces over the range with U and k.
+    no_expanded_forces : why there are none; None where there are.
     """
 
     file: Path
@@ -270,11 +271,13 @@ class ShownCalibration:
     force_error: str
     standards: tuple[ReferenceStandard, ...]
     expanded_forces: tuple[ShownExpandedForce, ...]
+    no_expanded_forces: str | None
 
     @classmethod
     def from_calibration(cls, path: Path, verified: VerifiedFile, held: Calibration) -> Self:
         """Return the contents of a file that was verified."""
         head = held.indenter
+        expanded, why_not = _expand_forces(held)
         return cls(
             file=path,
             digest=verified.digest,
@@ -298,17 +301,19 @@ class ShownCalibration:
             no_force_model=None if held.force else held.no_force,
             force_error=describe_force_error(held.standards),
             standards=held.standards,
-            expanded_forces=_expand_forces(held),
+            expanded_forces=expanded,
+            no_expanded_forces=why_not,
         )
 
 
-def _expand_forces(held: Calibration) -> tuple[ShownExpandedForce, ...]:
-    """Return forces over the range; none where no uncertainty can be stated."""
+def _expand_forces(held: Calibration) -> tuple[tuple[ShownExpandedForce, ...], str | None]:
+    """Return forces over the range, or why no uncertainty can be stated."""
     try:
         on_the_day, in_use = (evaluate_forces(held, result=when) for when in (Result.ON_THE_DAY, Result.IN_USE))
-    except CalibrationError:  # the abilities say why
-        return ()
-    return tuple(
+    except CalibrationError as error:
+        return (), error.reason
+    expanded = tuple(
         ShownExpandedForce.from_force(day, in_use=ShownUncertainty.from_force(use))
         for day, use in zip(on_the_day, in_use, strict=True)
     )
+    return expanded, None

@@ -129,7 +129,8 @@ class Calibration(HeadForces):
     def expand(self, forces: Forces) -> "tuple[ExpandedForce | None, ...]":
         """Return the expanded uncertainty (U and k of 95 %) of each force that frames told, with its budget.
 
-        None for frames without a load, and for what is outside the calibrated range or the load cell's certificate.
+        None for frames without a load, for forces of other heads, and for what is outside the calibrated range or
+        the load cell's certificate.
         Needs ``GTC``: CalibrationError if that is missing.
         """
         try:

@@ -122,6 +122,7 @@ def test_certificates_are_kept_shown_and_widen_intervals_of_force(folder, presse
     shown = json.loads(run("calibration", "show", to, "--json").stdout)
     assert (shown["force_error"], shown["standards"]) == (printed["force_error"], printed["standards"])
     assert [source["name"] for source in shown["sources"]][-1] == "st.toml"
+    assert shown["no_expanded_forces"] == "no budget is made of forces that are learned from labelled presses"
     bare, traced = (PressCalibration.load(path) for path in (folder / "OUT.h5", to))
     changes = pressed.changes[:6] @ DistinctPairs.from_pairs(pressed.pairs).merging
     forces = [calibration.force(calibration.places(changes)) for calibration in (bare, traced)]

@@ -7,6 +7,7 @@ from typing import Any
 
 import pytest
 from calibration_samples import INDENTER, LOAD_CELL, sample_calibration
+from force_calibration import force_calibration
 from typer.testing import CliRunner
 
 from cbsr_qa.calibration.file.entries import encode
@@ -83,6 +84,31 @@ def test_show_says_what_errors_of_force_include(issued, tmp_path):
     document = json.loads(_run("show", str(path), "--json").stdout)
     assert document["standards"][0]["certificate"] == "K-2026-0711"
     assert document["force_error"].startswith("scatter and load cell (U = 0.5 % (k = 2)")
+
+
+def test_show_states_u_of_the_day_and_of_use_with_what_each_leaves_out(tmp_path):
+    path = tmp_path / "stated.h5"
+    write_calibration(path, force_calibration())
+    document = json.loads(_run("show", str(path), "--json").stdout)
+    assert document["no_expanded_forces"] is None
+    for one in document["expanded_forces"]:
+        assert one["in_use"]["U_N"] >= one["U_N"] > 0
+        assert set(one["in_use"]["not_stated"]) - set(one["not_stated"]) == {
+            "temperature",
+            "drift of gains since the reference",
+            "ageing of the sensor",
+        }
+    shown = " ".join(_run("show", str(path), "--all").output.split())
+    assert "U without: load cell, drift of the load cell" in shown
+
+
+def test_show_says_why_no_u_is_stated(tmp_path):
+    path = tmp_path / "none.h5"
+    write_calibration(path, stamp(replace(sample_calibration(), force=None, no_force="no load had a force")))
+    none = json.loads(_run("show", str(path), "--json").stdout)
+    assert none["expanded_forces"] == []
+    assert "no uncertainty of it: no load had a force" in none["no_expanded_forces"]
+    assert "None is stated:" in _run("show", str(path), "--all").output
 
 
 def test_every_field_of_the_field_table_is_shown(issued):
