@@ -51,6 +51,9 @@ def issue(
     max_error_percent: Annotated[
         float | None, typer.Option(help="And its part relative to the force [%], in place of the file's.")
     ] = None,
+    no_max_error: Annotated[
+        bool, typer.Option("--no-max-error", help="No maximum permissible error, and no statement of conformity.")
+    ] = False,
     decision: Annotated[
         str | None, typer.Option(metavar="guarded|simple", help="Decision rule, in place of the file's.")
     ] = None,
@@ -68,12 +71,15 @@ def issue(
     from cbsr_qa.app.certificate.request import CertificateRequest
     from cbsr_qa.domain.results.certificate import Customer
 
+    requirement = {"max_error_N": max_error_N, "max_error_percent": max_error_percent, "decision": decision}
+    if no_max_error:
+        if any(value is not None for value in requirement.values()):
+            raise RefusedError("--no-max-error with a maximum permissible error or --decision", remedy="give one")
+        requirement = {"max_error_N": 0.0, "max_error_percent": 0.0, "decision": ""}
     given = {
         "signatory": signatory,
         "validity_months": validity_months,
-        "max_error_N": max_error_N,
-        "max_error_percent": max_error_percent,
-        "decision": decision,
+        **requirement,
     }
     request = CertificateRequest(
         folder=to,

@@ -21,7 +21,15 @@ from cbsr_qa.domain.numbers import did_you_mean
 from cbsr_qa.domain.plan.limits import CODED_RULES, Limit, LimitsVersion, name_limit
 from cbsr_qa.plugin.problems import Problem, Table
 
-VersionName = Annotated[str, Field(min_length=1, max_length=64, pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$")]
+VersionName = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=64,
+        pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]*$",
+        description="1 to 64 letters, digits and . _ -, starting with a letter or a digit",
+    ),
+]
 Words = Annotated[str, Field(max_length=1000)]
 Line = Annotated[
     str,
@@ -31,7 +39,9 @@ Line = Annotated[
     ),
 ]
 Percent = Annotated[float, Field(gt=0, lt=100)]
-Digest = Annotated[str, Field(pattern=r"^([0-9a-f]{64})?$")]
+Digest = Annotated[
+    str, Field(pattern=r"^([0-9a-f]{64})?$", description="a SHA-256 of 64 digits and a to f, or empty")
+]
 
 
 class LimitTable(Table):
@@ -145,7 +155,7 @@ class LimitsVersionTable(Table):
     """``[limits_version]``: origin of the limits with this ``version``. Written by ``cbsr-qa limits propose``."""
 
     version: VersionName
-    date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$")]
+    date: Annotated[str, Field(pattern=r"^\d{4}-\d{2}-\d{2}$", description="a date like 2027-03-31")]
     lot: Words = ""
     serials: list[str] = Field(default_factory=list)
     coverage_percent: Percent | None = None

@@ -194,19 +194,39 @@ class SyncTable(Table):
             yield Problem(path, "has a password in it, which would be stored with every run", "put it into ~/.pgpass")
 
 
-Line = Annotated[str, Field(min_length=1, max_length=80, pattern=r"^\S+(?: \S+)*$"), PRINTABLE]
+Line = Annotated[
+    str,
+    Field(
+        min_length=1,
+        max_length=80,
+        pattern=r"^\S+(?: \S+)*$",
+        description="one line of 1 to 80 characters, with single blanks between its words",
+    ),
+    PRINTABLE,
+]
 
 
 class CertificateTable(Table):
     """``[certificate]``: what calibration certificates state of the laboratory and of its decision rule."""
 
     laboratory: Line
-    prefix: Annotated[str, Field(pattern=r"^[A-Z0-9][A-Z0-9.-]{0,23}$")]
+    prefix: Annotated[
+        str,
+        Field(
+            pattern=r"^[A-Z0-9][A-Z0-9.-]{0,23}$",
+            description="1 to 24 of A to Z, digits, . and -, starting with a letter or a digit",
+        ),
+    ]
     street: Line
     post_code: Line
     city: Line
-    country: Annotated[str, Field(pattern=r"^[A-Z]{2}$")]
-    email: Line | None = None
+    country: Annotated[
+        str, Field(pattern=r"^[A-Z]{2}$", description='two letters A to Z, the code of ISO 3166-1: "DE" for Germany')
+    ]
+    email: Annotated[
+        Annotated[str, Field(max_length=80, pattern=r"^[^@\s]+@[^@\s]+\.[^@\s.]+$"), PRINTABLE] | None,
+        Field(description="an address of at most 80 characters, like office@example.org"),
+    ] = None
     place: Line
     performed_at: Literal["laboratory", "laboratoryBranch", "customer", "customerBranch", "other"]
     signatory: Line

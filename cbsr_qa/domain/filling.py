@@ -21,7 +21,10 @@ def fill_from_mapping(kind: type[T], values: Mapping[str, Any], /, **rest: Any) 
     """Return a dataclass of the values named as its fields, each as :func:`convert_json`; ``rest`` goes first."""
     hints = _read_hints(kind)  # type: ignore[arg-type]  # a class is hashable
     names = hints.keys() & values.keys() - rest.keys()
-    return kind(**{name: convert_json(hints[name], values[name]) for name in names}, **rest)
+    converted = {
+        name: values[name] if _is_plain(hints[name]) else convert_json(hints[name], values[name]) for name in names
+    }
+    return kind(**converted, **rest)
 
 
 def convert_json(hint: Any, value: Any) -> Any:
@@ -74,6 +77,13 @@ def find_odd_value(hint: Any, value: Any, key: str = "") -> str:
         fits = isinstance(value, allowed) and isinstance(value, bool) is (hint is bool)
         return "" if fits and (hint is not float or isfinite(value)) else f"{key} is {str(value)[:60]!r}"
     return next(filter(None, (find_odd_value(*part) for part in parts)), "")
+
+
+@cache
+def _is_plain(hint: Any) -> bool:
+    """Whether values of a type are numbers, texts or None: those of a thousand measurements need no look at it."""
+    kinds = get_args(hint) if get_origin(hint) in (Union, UnionType) else (hint,)
+    return all(kind in (bool, int, float, str, NoneType) for kind in kinds)
 
 
 @cache

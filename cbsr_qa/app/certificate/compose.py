@@ -63,7 +63,8 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         If the settings are missing or not allowed.
     """
     replaced = store.certificates.check_allowed(run, request.replaces or None)
-    record, stored = store.runs.load(run), store.analyses.load(run)
+    record = store.runs.load(run)
+    stored = store.analyses.load(run, checked_link=record.chain_head)
     if not record.chain.chained:
         raise StoreError(f"run {run} is not certified: {record.chain.words}", remedy="test the sensor again")
     analysis, verdict = _require_pass(store, record, stored)
@@ -71,7 +72,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
     recipe = judging_recipe(store, run, analysis)
     check_decided(record, analysis, recipe.limits)
     settings, key = choose_settings(request, configuration)
-    issued = _load_calibration(store, analysis)
+    issued = _load_calibration(store, analysis, record.chain_head)
     performed = record.identity.started_at.astimezone(UTC).date(), datetime.fromisoformat(issued.issued_at).date()
     for problem in find_doubtful_dates(issued.standards, performed[0]):
         raise RefusedError(
@@ -183,9 +184,9 @@ def _require_pass(
     return latest, f"{outcome}, {overridden}" if overridden else str(outcome)
 
 
-def _load_calibration(store: Repository, analysis: StoredAnalysis) -> IssuedCalibration:
+def _load_calibration(store: Repository, analysis: StoredAnalysis, checked_link: str) -> IssuedCalibration:
     assert analysis.calibration is not None
-    file, digest = store.calibrations.load_file(analysis.calibration)
+    file, digest = store.calibrations.load_file(analysis.calibration, checked_link=checked_link)
     issued = calibration_of(file, issued=digest)
     if issued.force is None or issued.validity.force_N is None:
         raise CalibrationError(

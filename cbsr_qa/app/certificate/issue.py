@@ -5,12 +5,12 @@ import os
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 from datetime import datetime
-from functools import partial
+from functools import cache, partial
 from math import isfinite
 from pathlib import Path
 
 from cbsr_qa.app.certificate.compose import Composed, compose_certificate
-from cbsr_qa.app.certificate.files import DCC, HTML, check_absent, list_contents, write_files
+from cbsr_qa.app.certificate.files import DCC, HTML, SIGNATURE, check_absent, list_contents, write_files
 from cbsr_qa.app.certificate.request import CertificateRequest
 from cbsr_qa.app.reanalyse.workers import local_workers
 from cbsr_qa.calibration.file.certified import CertificateSeal, sign, to_text
@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.certificate import Certificate
 from cbsr_qa.domain.results.certificate_records import IssuedCertificate
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.results.fleet import RunSelection
-from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.results.report import Banner, CommandOutcome
 from cbsr_qa.domain.results.signature import fingerprint
 from cbsr_qa.report.certificate import render_certificate, state_conformity
 from cbsr_qa.report.dcc import render_dcc
@@ -119,6 +119,7 @@ def issue_certificate(
         files, signed_by = _issue(store, store.runs.resolve(serial), request)
     facts = [("Number", files.number), ("Signed by", f"key {signed_by}" if signed_by else "nobody")]
     printed = [("Page", str(files.html)), ("XML", str(files.dcc))]
+    printed += [("Signature", str(request.folder / f"{files.number}{SIGNATURE}"))] if signed_by else []
     warnings = [] if signed_by else [_NOT_SIGNED]
     return answer(files, f"certificate of {serial} issued", files.statement, facts, printed, warnings)
 
@@ -145,16 +146,16 @@ def issue_batch(
             "--replaces with --batch", remedy="a certificate is replaced by that of one sensor: name it"
         )
     url = database_url(database)
+    results: dict[str, CertificateFiles | RefusedCertificate] = {}
     with open_store(url, create=False) as store:
         latest = {line.serial: line.run for line in store.fleet.read_lines(RunSelection(batch=batch, checks=False))}
-    if not latest:
-        raise RefusedError(f"no stored run is of batch {batch[:64]!r}", remedy="cbsr-qa runs lists them")
-    jobs = list(latest.items())
-    results: dict[str, CertificateFiles | RefusedCertificate] = {}
-    workers = local_workers(min(os.cpu_count() or 1, len(jobs)), partial(_issue_in_worker, url, request))
-    for (serial, run), result in workers.run_jobs(jobs):
-        results[serial] = RefusedCertificate(serial, run, result) if isinstance(result, str) else result
-        count(len(results), len(jobs))
+        if not latest:
+            raise RefusedError(f"no stored run is of batch {batch[:64]!r}", remedy="cbsr-qa runs lists them")
+        jobs = list(latest.items())
+        workers = local_workers(min(os.cpu_count() or 1, len(jobs)), partial(_issue_in_worker, url, request))
+        for (serial, run), result in workers.run_jobs(jobs):
+            results[serial] = RefusedCertificate(serial, run, result) if isinstance(result, str) else result
+            count(len(results), len(jobs))
     in_order = [results[serial] for serial in latest]
     issued = tuple(one for one in in_order if isinstance(one, CertificateFiles))
     refused = tuple(one for one in in_order if isinstance(one, RefusedCertificate))
@@ -166,7 +167,12 @@ def issue_batch(
         printed=[("Folder", str(request.folder))],
         warnings=warnings,
     )
-    return replace(outcome, exit_code=1 if refused else 0)
+    if not refused:
+        return outcome
+    banner = replace(outcome.page.banner, tone="marginal", symbol="≈")
+    if not issued:
+        banner = Banner("fail", "✗", f"no certificate of batch {batch} issued", banner.reason)
+    return replace(outcome, page=replace(outcome.page, banner=banner), exit_code=1)
 
 
 def _issue_in_worker(
@@ -174,10 +180,15 @@ def _issue_in_worker(
 ) -> CertificateFiles | RefusedCertificate:
     serial, run = job
     try:
-        with open_store(url, create=False) as store:
-            return _issue(store, run, request)[0]
+        return _issue(_open_in_worker(url), run, request)[0]
     except CbsrError as error:
         return RefusedCertificate(serial, run, error.reason)
+
+
+@cache  # statements are compiled once per opening, which takes a fifth of a certificate
+def _open_in_worker(url: str) -> Repository:
+    """Open a database for as long as a worker lives; the process that began it closes it last."""
+    return open_store(url, create=False)
 
 
 def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[CertificateFiles, str]:

@@ -5,8 +5,11 @@ from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
 
+from cbsr_qa.config.documents import Document, DocumentKind
 from cbsr_qa.config.loader import load_certificate_settings
 from cbsr_qa.config.serials import validate_reason
+from cbsr_qa.config.station import CertificateFile
+from cbsr_qa.config.tables import validate
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.results.certificate import Customer
@@ -73,7 +76,7 @@ def choose_settings(request: CertificateRequest, configuration: str) -> tuple[Ce
     Raises
     ------
     ConfigError
-        If neither the request nor the station states the laboratory, or a value is not allowed.
+        If neither the request nor the station states the laboratory, or a value is not allowed; options are named.
     """
     station = json.loads(configuration)["station"]
     if request.settings_file is not None:
@@ -86,6 +89,10 @@ def choose_settings(request: CertificateRequest, configuration: str) -> tuple[Ce
             f"station {station['station']['name']!r} states no laboratory: its file had no [certificate]",
             remedy="give a file with that table, its own or a station's: --laboratory FILE",
         )
-    settings = load_certificate_settings({"certificate": {**stated, **request.overrides}}).value
+    settings = load_certificate_settings({"certificate": stated}).value
+    if request.overrides:
+        label = ", ".join(f"--{name.replace('_', '-')}" for name in request.overrides)
+        changed = {"certificate": {**stated, **request.overrides}}
+        settings = validate(CertificateFile, Document(DocumentKind.CERTIFICATE, label, None, "", changed))
     named = station.get("calibrations", {}).get("signing_key")
     return settings, request.key or (None if named is None else Path(named))

@@ -125,7 +125,7 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
             read_withdrawn(path)
         except CalibrationError as error:
             raise RefusedError(
-                f"{path} exists, and is no such list: {error.reason}", remedy="name another file"
+                f"{path} exists, and is not a list of withdrawn certificates", remedy="name another file"
             ) from error
     with open_store(database_url(database), create=False) as store:
         withdrawn = _list_withdrawn(store, store.certificates.list_all())

@@ -21,7 +21,14 @@ from sqlalchemy.orm import aliased
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.run.run import ChainState
 from cbsr_qa.store.archives import read_checked
-from cbsr_qa.store.chain.links import SigningKey, checking_key, key_id_of, link_digest, make_few_links
+from cbsr_qa.store.chain.links import (
+    SigningKey,
+    chain_head,
+    checking_key,
+    key_id_of,
+    link_digest,
+    make_few_links,
+)
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
     KEYS,
@@ -78,6 +85,17 @@ def check_run(connection: Connection, run: str, kinds: Collection[str] = ()) -> 
         return _check_chain(connection, run, kinds)
     except FOREIGN_CELL as error:
         raise unreadable(connection, run, error) from error
+
+
+def check_unless_checked(connection: Connection, run: str, checked_link: str, kinds: Collection[str] = ()) -> None:
+    """Check a run as :func:`check_run`, unless it was checked up to its last link.
+
+    Parameters
+    ----------
+    checked_link : digest of the last link that was checked, as when the run was loaded (``chain_head``); empty: none.
+    """
+    if not checked_link or chain_head(connection, run) != checked_link:
+        check_run(connection, run, kinds)
 
 
 def data_digest(connection: Connection, run: str) -> str:

@@ -11,8 +11,8 @@ from cbsr_qa.domain.filling import fill_from_mapping
 from cbsr_qa.domain.plan.limits import Bound, Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.store.chain.check import RESULTS, check_run, unreadable
-from cbsr_qa.store.chain.links import add_links, add_rows, chain_head
+from cbsr_qa.store.chain.check import RESULTS, check_unless_checked, unreadable
+from cbsr_qa.store.chain.links import add_links, add_rows
 from cbsr_qa.store.chain.run_documents import FIGURES, figures_digest
 from cbsr_qa.store.damage import FOREIGN_CELL, read_word
 from cbsr_qa.store.engine import look_afresh, reading, writing
@@ -120,8 +120,7 @@ class Analyses:
             "compute_s": [[stage, float(seconds)] for stage, seconds in result.compute_s],
         }
         with writing(self._engine) as connection:
-            if not record.chain_head or chain_head(connection, run) != record.chain_head:
-                check_run(connection, run)  # otherwise checked when it was loaded, up to this link
+            check_unless_checked(connection, run, record.chain_head)
             add_analysis(connection, values, result.warnings, map(measurement_values, result.measurements))
             if result.calibration is not None:
                 insert_calibration(connection, result.calibration, analysis)
@@ -129,14 +128,14 @@ class Analyses:
         self.load(run)
         return analysis
 
-    def load(self, run: str) -> tuple[StoredAnalysis, ...]:
+    def load(self, run: str, *, checked_link: str = "") -> tuple[StoredAnalysis, ...]:
         """Return the analyses of a run that were stored after its last session, the latest first.
 
-        StoreError if stored rows were changed.
+        StoreError if stored rows were changed; ``checked_link`` as for :func:`check_unless_checked`.
         """
         with reading(self._engine) as connection:
             if connection.scalar(select(RunRow.run).where(RunRow.run == run)) is not None:
-                check_run(connection, run, RESULTS)
+                check_unless_checked(connection, run, checked_link, RESULTS)
             query = select(*AnalysisRow.__table__.columns).where(AnalysisRow.run == run, up_to_date())
             try:
                 rows = connection.execute(query.order_by(AnalysisRow.analysis.desc())).all()

@@ -10,7 +10,7 @@ from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.store.chain.check import RESULTS, check_run
+from cbsr_qa.store.chain.check import RESULTS, check_unless_checked
 from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.engine import reading
 from cbsr_qa.store.tables.results import BaselineRow, CalibrationRow
@@ -43,8 +43,12 @@ class Calibrations:
         with reading(self._engine) as connection:
             return tuple(CalibrationSummary(*cells) for cells in connection.execute(query))
 
-    def load_file(self, calibration: str) -> tuple[bytes, str]:
+    def load_file(self, calibration: str, *, checked_link: str = "") -> tuple[bytes, str]:
         """Return a calibration's file as issued, and its content's digest.
+
+        Parameters
+        ----------
+        checked_link : of its run, as for :func:`~cbsr_qa.store.chain.check.check_unless_checked`.
 
         Raises
         ------
@@ -59,7 +63,7 @@ class Calibrations:
             stored = connection.execute(query).one_or_none()
             if stored is None:
                 raise StoreError(f"there is no calibration {calibration[:64]!r} in this database")
-            check_run(connection, stored.run, RESULTS)
+            check_unless_checked(connection, stored.run, checked_link, RESULTS)
         _check_file(calibration, stored.file, stored.file_sha256)
         return stored.file, stored.content_sha256
 

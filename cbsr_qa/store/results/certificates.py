@@ -9,8 +9,8 @@ from sqlalchemy import Connection, Engine, func, select
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.results.certificate_records import CertificateWithdrawal, IssuedCertificate, StoredCertificate
-from cbsr_qa.store.chain.check import check_run
-from cbsr_qa.store.chain.links import add_rows, chain_head
+from cbsr_qa.store.chain.check import check_run, check_unless_checked
+from cbsr_qa.store.chain.links import add_rows
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.runs.begun import check_begun_here
@@ -56,8 +56,7 @@ class Certificates:
 
         Parameters
         ----------
-        checked_link : digest of the last link of its run that was checked when the run was loaded (``chain_head``);
-            the run is not checked again unless rows were added since.
+        checked_link : of its run, as for :func:`~cbsr_qa.store.chain.check.check_unless_checked`.
 
         Raises
         ------
@@ -66,8 +65,7 @@ class Certificates:
         """
         certificate, withdrawal = self._new_id(), self._new_id()
         with writing(self._engine) as connection:
-            if not checked_link or chain_head(connection, issued.run) != checked_link:
-                check_run(connection, issued.run)
+            check_unless_checked(connection, issued.run, checked_link)
             replaced = _read_replaced(connection, issued.run, issued.replaces)
             digests = {"html_sha256": _sha256(issued.html), "dcc_sha256": _sha256(issued.dcc)}
             row = row_of(CertificateRow, issued, certificate=certificate, **digests)

@@ -303,8 +303,21 @@ REFUSED = {
     "a file for a folder": (None, ("S-1", "--to", "station.toml"), "exists, and is not a folder"),
     "no key": (None, ("S-1", "--to", "out", "--key", "none.key"), "key none.key cannot be read"),
     "no laboratory": (None, ("S-1", "--to", "out", "--laboratory", "recipe.toml"), "not a certificate settings file"),
-    "odd months": (None, ("S-1", "--to", "out", "--validity-months", "0"), "certificate.validity_months"),
-    "a rule without requirement": (None, ("S-1", "--to", "out", "--decision", ""), "certificate.decision"),
+    "odd months": (
+        None,
+        ("S-1", "--to", "out", "--validity-months", "0"),
+        "^--validity-months has 1 problem.*certificate.validity_months is 0; it must be a whole number from 1 to 120",
+    ),
+    "a rule without requirement": (
+        None,
+        ("S-1", "--to", "out", "--decision", ""),
+        "^--decision has 1 problem.*certificate.decision",
+    ),
+    "a requirement and none": (
+        None,
+        ("S-1", "--to", "out", "--no-max-error", "--decision", "simple"),
+        "--no-max-error with a maximum permissible error or --decision",
+    ),
     "neither sensor nor batch": (None, ("--to", "out"), "give SERIAL or --batch"),
     "no batch": (None, ("--batch", "B9", "--to", "out"), "no stored run is of batch 'B9'"),
 }
@@ -316,7 +329,7 @@ def test_what_cannot_be_certified_is_named_and_nothing_is_issued(place, statemen
     if statement is not None:
         change(place.database, statement)
     refused = place.certify(*words, code=2)["refused"]
-    assert re.search(said, refused["reason"]), refused
+    assert re.search(said, " ".join(refused["reason"].split())), refused
     if statement is None:
         issued_nothing(place)
     assert not (place.folder / "out").exists()
@@ -345,13 +358,35 @@ def test_a_sensor_that_failed_is_refused_also_by_a_person(place, capsys):
 
 
 @REST
-def test_a_batch_is_certified_and_who_got_none_is_named(place):
+def test_the_requirement_of_a_file_is_dropped_by_an_option(place, capsys):
+    new_key(place.folder / "a.key")
+    words = ["S-1", "--to", "out", "--no-max-error", "--key", "a.key", *place.at]
+    assert run_guarded(["certificate", *words]) == 0
+    said = " ".join(capsys.readouterr().out.split())
+    assert "No statement of conformity is made: no maximum permissible error was stated." in said
+    (signature,) = (place.folder / "out").glob("*.signature.json")
+    assert f"signature out/{signature.name}" in said
+
+
+@REST
+def test_a_list_is_not_written_over_another_file(place):
+    new_key(place.folder / "a.key")
+    before = (place.folder / "station.toml").read_text()
+    refused = place.certify("withdrawn", "--to", "station.toml", "--key", "a.key", code=2)["refused"]
+    assert refused["reason"] == "station.toml exists, and is not a list of withdrawn certificates"
+    assert (place.folder / "station.toml").read_text() == before
+
+
+@REST
+def test_a_batch_is_certified_and_who_got_none_is_named(place, capsys):
     made = place.certify("--batch", "B7", "--to", "out")
     assert [one["number"] for one in made["issued"]] == [path.stem for path in (place.folder / "out").glob("*.html")]
     assert made["refused"] == []
     again = place.certify("--batch", "B7", "--to", "out", code=1)
     assert again["issued"] == []
     assert "stands" in again["refused"][0]["reason"]
+    assert run_guarded(["certificate", "--batch", "B7", "--to", "out", *place.at]) == 1
+    assert capsys.readouterr().out.startswith("✗ no certificate of batch B7 issued: 1 sensor got none")
 
 
 @REST
@@ -451,11 +486,22 @@ def test_places_are_spread_from_the_centre_on():
 def test_a_laboratory_may_be_left_out_of_a_station_and_is_checked_in_it(tmp_path):
     write_station(tmp_path / "a.toml")
     assert load_station(str(tmp_path / "a.toml")).value.certificate.prefix == "SSW"
+    write_station(tmp_path / "c.toml", laboratory_table(email="office@example.org"))
+    assert load_station(str(tmp_path / "c.toml")).value.certificate.email == "office@example.org"
     assert load_certificate_settings(str(tmp_path / "a.toml")).value.max_error_percent == 5.0
     for changes, said in (
-        ({"prefix": "ssw"}, "certificate.prefix"),
-        ({"country": "Germany"}, "certificate.country"),
-        ({"signatory": " Ada"}, "certificate.signatory"),
+        ({"prefix": "ssw"}, "certificate.prefix is 'ssw'; it must be 1 to 24 of A to Z, digits, . and -"),
+        ({"prefix": "-SSW"}, "starting with a letter or a digit"),
+        (
+            {"country": "Germany"},
+            "certificate.country is 'Germany'; it must be two letters A to Z, the code of ISO 3166",
+        ),
+        ({"country": "de"}, "certificate.country"),
+        (
+            {"email": "office at example.org"},
+            "certificate.email is .*; it must be an address of at most 80 characters",
+        ),
+        ({"signatory": " Ada"}, "certificate.signatory is ' Ada'; it must be one line of 1 to 80 characters"),
         ({"max_error_N": -0.1}, "certificate.max_error_N"),
         ({"decision": "hopeful"}, "certificate.decision"),
         ({"max_error_N": 0.0, "max_error_percent": 0.0}, "are stated together"),
