@@ -64,7 +64,9 @@ def _sections(shown: ShownCalibration) -> Iterator[Section]:
     yield _texts("Force", _force(shown))
     title = "Expanded uncertainty of force"
     if shown.no_expanded_forces is None:
-        yield Section(title, (_tabulate_expanded_forces(shown.expanded_forces),))
+        forces = shown.expanded_forces
+        worst = max(forces, key=lambda one: one.in_use.U_N)
+        yield Section(title, (_tabulate_expanded_forces(forces), _tabulate_components(worst)))
     else:
         yield _texts(title, iter([f"None is stated: {shown.no_expanded_forces}."]))
     yield Section("Settling", (_settling(shown.settling),))
@@ -147,12 +149,12 @@ def _tabulate_expanded_forces(forces: tuple[ShownExpandedForce, ...]) -> Table:
             *(format_fixed(axis_mm, 1) for axis_mm in one.place_mm),
             f"{one.force_N:.3g}",
             f"{one.standard_uncertainty_N:#.2g}",
-            "∞" if one.dof is None or one.dof > _MANY else str(floor(one.dof)),  # as k is (JCGM 100, G.6.4)
+            _format_dof(one.dof),
             f"{one.k:.2f}",
             f"{one.U_N:#.2g}",
             f"{one.in_use.U_N:#.2g}",
             "; ".join(_describe_random_numbers(one)),
-            max(one.components_N, key=lambda name: one.components_N[name]),
+            one.components[0].name,
         )
         for one in forces
     ]
@@ -162,7 +164,33 @@ def _tabulate_expanded_forces(forces: tuple[ShownExpandedForce, ...]) -> Table:
         "For 95 %, of one settled load at a known place; u, dof, k and U on the day of calibration."
         f" U without: {missing}. U in use without: {missing_in_use}."
     )
-    return text_table(caption, (*columns, "by random numbers [N]", "mostly by"), rows, tuple(range(8)))
+    return text_table(caption, (*columns, "by random numbers [N]", "largest part"), rows, tuple(range(8)))
+
+
+def _tabulate_components(force: ShownExpandedForce) -> Table:
+    rows = [
+        (
+            part.name,
+            part.kind,
+            f"{part.standard_uncertainty_N:#.2g}" if part.standard_uncertainty_N else "0",
+            _format_dof(part.dof),
+            f"{100 * part.share:.1f}",
+            part.source,
+        )
+        for part in force.in_use.components
+    ]
+    place = ", ".join(f"{axis_mm:.3g}" for axis_mm in force.place_mm).replace("-", "−")
+    caption = (
+        f"Inputs of the largest U in use, of {force.force_N:.3g} N at ({place}) mm: A by statistics of observations, B"
+        " otherwise (JCGM 100). --json has those of every force."
+    )
+    columns = ("input", "kind", "u [N]", "dof", "% of u²", "from")
+    return text_table(caption, columns, rows, (2, 3, 4))
+
+
+def _format_dof(dof: float | None) -> str:
+    """Return degrees of freedom, truncated as k is (JCGM 100, G.6.4)."""
+    return "∞" if dof is None or dof > _MANY else str(floor(dof))
 
 
 def _describe_random_numbers(force: ShownExpandedForce) -> Iterator[str]:

@@ -22,7 +22,7 @@ from cbsr_qa.domain.results.calibration import (
     SettlingSummary,
     VerifiedFile,
 )
-from cbsr_qa.domain.results.expanded_force import ExpandedForce, Result
+from cbsr_qa.domain.results.expanded_force import BudgetComponent, ExpandedForce, Result
 from cbsr_qa.domain.sensor.sensor_type import Parameter, QuasiStatic
 
 #: Largest number of values of an array that is shown.
@@ -193,13 +193,41 @@ class ShownForceModel:
 
 
 @dataclass(frozen=True, slots=True)
+class ShownComponent:
+    """An input of a force's budget; see :class:`~cbsr_qa.domain.results.expanded_force.BudgetComponent`.
+
+    Parameters
+    ----------
+    standard_uncertainty_N : |c| u(x), what the input adds to the force.
+    dof : degrees of freedom; None if infinite.
+    """
+
+    name: str
+    kind: str
+    standard_uncertainty_N: float
+    dof: float | None
+    share: float
+    source: str
+    shared: bool
+
+    @classmethod
+    def from_component(cls, part: BudgetComponent) -> Self:
+        return fill_from_object(
+            cls,
+            part,
+            standard_uncertainty_N=part.standard_uncertainty,
+            dof=part.dof if isfinite(part.dof) else None,
+        )
+
+
+@dataclass(frozen=True, slots=True)
 class ShownUncertainty:
     """An expanded uncertainty; see :class:`~cbsr_qa.domain.results.expanded_force.ExpandedForce`.
 
     Parameters
     ----------
     dof : effective degrees of freedom; None if infinite.
-    components_N : standard uncertainty of each input.
+    components : inputs in the sum, by falling share.
     not_stated : inputs that nothing gives a number for, which U lacks.
     monte_carlo_N, monte_carlo_why : interval of 95 % by random numbers where the law of propagation may not do, and
         why not; else None and empty.
@@ -209,7 +237,7 @@ class ShownUncertainty:
     dof: float | None
     k: float
     U_N: float
-    components_N: dict[str, float]
+    components: tuple[ShownComponent, ...]
     not_stated: tuple[str, ...]
     monte_carlo_N: tuple[float, float] | None
     monte_carlo_why: str
@@ -221,7 +249,7 @@ class ShownUncertainty:
             cls,
             expanded,
             dof=expanded.dof if isfinite(expanded.dof) else None,
-            components_N={part.name: part.standard_uncertainty for part in expanded.components},
+            components=tuple(map(ShownComponent.from_component, expanded.components)),
             monte_carlo_N=None if simulated is None else (simulated.low, simulated.high),
             monte_carlo_why="" if simulated is None else simulated.why,
             **others,
