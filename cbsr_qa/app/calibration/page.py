@@ -181,8 +181,8 @@ def _tabulate_components(force: ShownExpandedForce) -> Table:
     ]
     place = ", ".join(f"{axis_mm:.3g}" for axis_mm in force.place_mm).replace("-", "−")
     caption = (
-        f"Inputs of the largest U in use, of {force.force_N:.3g} N at ({place}) mm: A by statistics of observations, B"
-        " otherwise (JCGM 100). --json has those of every force."
+        f"Inputs of the largest U in use, of {force.force_N:.3g} N at ({place}) mm: A by statistics of observations,"
+        " B otherwise (JCGM 100). --json has those of every force."
     )
     columns = ("input", "kind", "u [N]", "dof", "% of u²", "from")
     return text_table(caption, columns, rows, (2, 3, 4))
