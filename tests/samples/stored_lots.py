@@ -57,7 +57,7 @@ def unchecked_results():
     def skip(*_):
         """Do nothing: to make a mock takes longer than to store a phase."""
 
-    unread = (patch.object(analyses, "check_run", skip), patch.object(analyses, "look_afresh", skip))
+    unread = (patch.object(analyses, "check_unless_checked", skip), patch.object(analyses, "look_afresh", skip))
     with unread[0], unread[1], patch.object(analyses.Analyses, "load", skip):
         yield
 
