@@ -2,6 +2,7 @@
 
 import os
 import signal
+import sqlite3
 import subprocess
 import sys
 import textwrap
@@ -241,3 +242,24 @@ def test_the_journal_takes_nothing_from_the_wall_clock(repository):
     journal(RunStarted(replace(identity(run), started_at=datetime(1970, 1, 1, tzinfo=UTC))))
     journal(RunEnded(EndReason.ABORTED, "", 5.0, ()))
     assert repository.runs.read_last_session(run).ended_s == 5.0
+
+
+def test_a_stop_at_once_is_of_the_latest_session_of_the_latest_run_and_damage_is_none(path, repository):
+    def find():
+        return repository.runs.find_emergency_stop("bench-α")
+
+    assert find() is None
+    run = repository.new_id()
+    by_ada = RunEnded(EndReason.ABORTED, "by an emergency stop by Ada (remote), while homing", 201.0, ())
+    journalled(repository, [*short_run(run)[:-1], by_ada])
+    assert find() == (run, identity(run).started_at)
+    assert repository.runs.find_emergency_stop("another") is None
+    journalled(repository, [resumed(run)])
+    assert find() is None
+    journalled(repository, [resumed(run), by_ada])
+    assert find() == (run, resumed(run).identity.started_at)
+    for damaged in ("'melted'", "x'ff'"):
+        with sqlite3.connect(path) as database:
+            database.execute(f"UPDATE run_states SET end = {damaged} WHERE end = 'aborted'")
+        database.close()
+        assert find() is None

@@ -6,8 +6,9 @@ from datetime import datetime
 from itertools import groupby
 from typing import Any
 
-from sqlalchemy import Connection, Engine, Result, Row, func, select
+from sqlalchemy import Connection, Engine, Result, Row, func, select, type_coerce
 from sqlalchemy.orm import InstrumentedAttribute
+from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.filling import fill_from_mapping
@@ -205,14 +206,17 @@ class Runs:
             return sessions_of(connection, run)[-1]
 
     def find_emergency_stop(self, station: str) -> tuple[str, datetime] | None:
-        """Return the latest run of a station and when its latest session began, if that was stopped at once."""
+        """Return the latest run of a station and when its latest session began, if that was stopped at once.
+
+        A run whose end is damaged tells of no stop: it must not keep its station from other runs.
+        """
+        ended: list[Any] = [type_coerce(column, NullType()) for column in (RunStateRow.end, RunStateRow.detail)]
         with reading(self._engine) as connection:
             latest = select(RunRow.run).where(RunRow.station == station).order_by(RunRow.run.desc()).limit(1)
             run = connection.scalar(latest)
-            if run is None:
-                return None
-            state = current_state(connection, run)
-            if state.end != EndReason.ABORTED or not was_emergency(state.detail):
+            states = select(*ended).where(RunStateRow.run == run).order_by(RunStateRow.number.desc()).limit(1)
+            end, detail = connection.execute(states).one_or_none() or ("", "")
+            if run is None or end != EndReason.ABORTED or not was_emergency(str(detail)):
                 return None
             began = select(func.max(RunStateRow.noted_at)).where(RunStateRow.run == run)
             return run, connection.scalar(began) or _find_run(connection, run).started_at
