@@ -61,7 +61,7 @@ class RingFit:
 
     def relative(self, values: Array) -> Array:
         """Return values as a fraction of the expected readings."""
-        return values / _sizes(self.expected)
+        return values / _scale_deviations(self.expected)
 
 
 def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
@@ -87,9 +87,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
     mean = frames.voltages.mean(axis=0)
     absolute = frames.unit is VoltageUnit.VOLT and frames.current_A is not None
     current = frames.current_A if absolute and frames.current_A is not None else 1.0
-    solution, leads_fitted, offset_fitted = _solve(
-        current * closed, current * lead_readings(pattern), mean, used_mask
-    )
+    solution, leads_fitted, offset_fitted = _fit(current * closed, current * lead_readings(pattern), mean, used_mask)
     gain, offset, leads = solution[0], solution[1], solution[2:]
     expected = current * closed if absolute else gain * closed
     fitted_readings = gain * current * closed + offset + current * lead_readings(pattern) @ leads
@@ -102,7 +100,7 @@ def fit_ring(ring: RingReadings, pattern: DrivePattern) -> RingFit:
         gain_error=gain - 1 if absolute else None,
         offset=offset if offset_fitted else None,
         lead_ohm=leads if leads_fitted and absolute else None,
-        residual=np.where(used_mask, mean - fitted_readings, 0.0) / _sizes(expected),
+        residual=np.where(used_mask, mean - fitted_readings, 0.0) / _scale_deviations(expected),
         open_electrode=opened,
     )
 
@@ -125,22 +123,22 @@ def find_exchanged_electrodes(ring: RingReadings, pattern: DrivePattern, *, with
         order = np.arange(pattern.electrode_count)
         order[list(pair)] = pair[::-1]
         closed = current * (driven.T @ impedance[np.ix_(order, order)] @ measured)
-        (gain, offset, *ohm), _, _ = _solve(closed, current * leads, mean, used_mask)
+        (gain, offset, *ohm), _, _ = _fit(closed, current * leads, mean, used_mask)
         residual = mean - gain * closed - offset - current * leads @ np.array(ohm)
-        worst_residual = float(np.abs(np.where(used_mask, residual / _sizes(gain * closed), 0.0)).max())
+        worst_residual = float(np.abs(np.where(used_mask, residual / _scale_deviations(gain * closed), 0.0)).max())
         if worst_residual <= within and (best_exchange is None or worst_residual < best_exchange[0]):
             best_exchange = worst_residual, pair
     return None if best_exchange is None else best_exchange[1]
 
 
-def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
+def _fit(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) -> tuple[Array, bool, bool]:
     """Fit gain, offset and leads; leads, then the offset, stay zero where the pattern cannot determine them.
 
     Returns
     -------
     (2 + electrodes,) the fit, and whether it includes leads and offset.
     """
-    size = _sizes(closed)[used]
+    size = _scale_deviations(closed)[used]
     columns = np.column_stack([closed[used], np.ones(size.size), leads[used]]) / size[:, None]
     scaled_readings = mean[used] / size
     solution = np.zeros(columns.shape[1])
@@ -156,7 +154,7 @@ def _solve(closed: Array, leads: Array, mean: Array, used: NDArray[np.bool_]) ->
     )
 
 
-def _sizes(expected: Array) -> Array:
+def _scale_deviations(expected: Array) -> Array:
     """Scale of relative deviations: the reading's own size, or a small one where zero is expected."""
     magnitude = np.abs(expected)
     sizes: Array = np.maximum(magnitude, _SMALLEST * magnitude.max())
@@ -190,16 +188,16 @@ def check_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing
     except NumericsError as error:
         return (CheckResult("readings", CheckOutcome.FAILED, said=error.reason, remedy=error.remedy, subject=RING),)
     return (
-        _check_flags(fit, pattern),
-        _gain(fit, allowed),
-        _offset(fit, allowed, str(ring.frames.unit)),
-        _leads(fit, allowed),
-        _worst(fit, ring, pattern, allowed),
-        _noise(fit, pattern, allowed),
+        _judge_flags(fit, pattern),
+        _judge_gain(fit, allowed),
+        _judge_offset(fit, allowed, str(ring.frames.unit)),
+        _judge_leads(fit, allowed),
+        _judge_worst(fit, ring, pattern, allowed),
+        _judge_noise(fit, pattern, allowed),
     )
 
 
-def _line(name: str, ok: bool, value: float, unit: str, allowed: str, finding: str, remedy: str) -> CheckResult:
+def _judge(name: str, ok: bool, value: float, unit: str, allowed: str, finding: str, remedy: str) -> CheckResult:
     """One judged line, with its remedy if it failed."""
     outcome = CheckOutcome.OK if ok else CheckOutcome.FAILED
     return CheckResult(name, outcome, value, unit, allowed, "" if ok else remedy, finding, RING)
@@ -209,7 +207,7 @@ def _skip_check(name: str, why: str) -> CheckResult:
     return CheckResult(name, CheckOutcome.NOT_DONE, said=why, subject=RING)
 
 
-def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
+def _judge_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     count = int(fit.flagged.sum())
     finding = f"all {fit.used.size} readings are without a flag"
     if count:
@@ -222,52 +220,52 @@ def _check_flags(fit: RingFit, pattern: DrivePattern) -> CheckResult:
     if fit.open_electrode is not None:
         finding += f"; all readings that electrode {fit.open_electrode} drives are flagged: it may be open"
         remedy = f"check plug, lead and switch of electrode {fit.open_electrode}"
-    return _line("flagged readings", not count, float(count), "1", "0", finding, remedy)
+    return _judge("flagged readings", not count, float(count), "1", "0", finding, remedy)
 
 
-def _gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
+def _judge_gain(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     if fit.gain_error is None:
         return _skip_check("gain error", _UNKNOWN)
     limit = allowed.gain + allowed.tolerance
     finding = "readings over closed form × current, all together"
     remedy = "check the ring's resistance, then the source's current and the meter's calibration"
-    ok, allowed_words = abs(fit.gain_error) <= limit, _format_range(100 * limit, "%")
-    return _line("gain error", ok, 100 * fit.gain_error, "%", allowed_words, finding, remedy)
+    ok, allowed_words = abs(fit.gain_error) <= limit, _describe_band(100 * limit, "%")
+    return _judge("gain error", ok, 100 * fit.gain_error, "%", allowed_words, finding, remedy)
 
 
-def _offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
+def _judge_offset(fit: RingFit, allowed: ReferenceRing, unit: str) -> CheckResult:
     if fit.offset is None:
         return _skip_check("offset", "the pattern cannot separate offset and gain")
     if fit.gain_error is None:
-        return _line("offset", True, fit.offset, unit, "", _UNKNOWN, "")
-    ok, allowed_words = abs(fit.offset) <= allowed.offset_V, _format_range(1e3 * allowed.offset_V, "mV")
+        return _judge("offset", True, fit.offset, unit, "", _UNKNOWN, "")
+    ok, allowed_words = abs(fit.offset) <= allowed.offset_V, _describe_band(1e3 * allowed.offset_V, "mV")
     remedy = "zero the meter; look for a thermal voltage or a ground loop in the measuring pair"
-    return _line("offset", ok, 1e3 * fit.offset, "mV", allowed_words, "common to all readings", remedy)
+    return _judge("offset", ok, 1e3 * fit.offset, "mV", allowed_words, "common to all readings", remedy)
 
 
-def _leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
+def _judge_leads(fit: RingFit, allowed: ReferenceRing) -> CheckResult:
     name = "lead resistance"
     if fit.lead_ohm is None:
         return _skip_check(name, _UNKNOWN if fit.gain_error is None else "the pattern cannot separate leads and ring")
     worst_electrode = int(np.argmax(np.abs(fit.lead_ohm)))
     value = float(fit.lead_ohm[worst_electrode])
-    finding = f"largest at electrode {worst_electrode}; mean of all {_number(float(fit.lead_ohm.mean()), 3)} Ω"
+    finding = f"largest at electrode {worst_electrode}; mean of all {_format_number(float(fit.lead_ohm.mean()), 3)} Ω"
     ok, remedy = abs(value) <= allowed.lead_ohm, f"check plug, lead and switch of electrode {worst_electrode}"
-    return _line(name, ok, value, "ohm", _format_range(allowed.lead_ohm, "Ω"), finding, remedy)
+    return _judge(name, ok, value, "ohm", _describe_band(allowed.lead_ohm, "Ω"), finding, remedy)
 
 
-def _worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
+def _judge_worst(fit: RingFit, ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
     drive, measure = np.unravel_index(int(np.argmax(np.abs(fit.residual))), fit.residual.shape)
     residual, limit = float(fit.residual[drive, measure]), allowed.reading + allowed.tolerance
     ok, unit = abs(residual) <= limit, str(ring.frames.unit)
     mean, expected = float(fit.mean[drive, measure]), float(fit.expected[drive, measure])
-    finding = f"{pair_words(pattern, (int(drive), int(measure)))}: {_number(mean)} {unit} where"
-    finding += f" {_number(expected)} {unit} is expected; gain, offset and leads are removed"
-    remedy = "" if ok else _cause(fit, ring, pattern, limit)
-    return _line("worst reading", ok, 100 * residual, "%", _format_range(100 * limit, "%"), finding, remedy)
+    finding = f"{pair_words(pattern, (int(drive), int(measure)))}: {_format_number(mean)} {unit} where"
+    finding += f" {_format_number(expected)} {unit} is expected; gain, offset and leads are removed"
+    remedy = "" if ok else _find_cause(fit, ring, pattern, limit)
+    return _judge("worst reading", ok, 100 * residual, "%", _describe_band(100 * limit, "%"), finding, remedy)
 
 
-def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
+def _find_cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float) -> str:
     """Likely cause of deviating readings: two exchanged electrodes, or one bad resistor."""
     swapped = find_exchanged_electrodes(ring, pattern, within=limit)
     if swapped is not None:
@@ -282,7 +280,7 @@ def _cause(fit: RingFit, ring: RingReadings, pattern: DrivePattern, limit: float
     return "check the resistors and the wiring of these electrodes"
 
 
-def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
+def _judge_noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> CheckResult:
     usable = pattern.usable() & fit.used
     judged_mask = usable if usable.any() else fit.used
     relative = np.where(judged_mask, fit.relative(fit.noise), 0.0)
@@ -291,7 +289,7 @@ def _noise(fit: RingFit, pattern: DrivePattern, allowed: ReferenceRing) -> Check
     noisiest = f"{pair_words(pattern, (int(drive), int(measure)))} with {1e6 * relative[drive, measure]:.3g} ppm"
     finding = f"rms over {int(judged_mask.sum())} readings; the noisiest is {noisiest}"
     ok, allowed_words = rms <= allowed.noise, f"at most {1e6 * allowed.noise:.4g} ppm"
-    return _line(
+    return _judge(
         "noise of a reading",
         ok,
         1e6 * rms,
@@ -311,9 +309,9 @@ def _advise_on_noise(rms: float, allowed: ReferenceRing) -> str:
     )
 
 
-def _number(value: float, digits: int = 4) -> str:
+def _format_number(value: float, digits: int = 4) -> str:
     return f"{value:.{digits}g}".replace("-", "−")
 
 
-def _format_range(limit: float, unit: str) -> str:
+def _describe_band(limit: float, unit: str) -> str:
     return f"−{limit:.4g} to {limit:.4g} {unit}"

@@ -155,7 +155,9 @@ class Bench:
                 mounting_by_role[role] = _check_role(mounting, role)
         self.frame_source: FrameSource = _find_role(mounting_by_role, FRAME_SOURCE)
         self.force_applicator: ForceApplicator = _find_role(mounting_by_role, FORCE_APPLICATOR)
-        self.samplers = _samplers([mounting for role, mounting in mounting_by_role.items() if role not in _PROTOCOLS])
+        self.samplers = _list_samplers(
+            [mounting for role, mounting in mounting_by_role.items() if role not in _PROTOCOLS]
+        )
         link_instruments(self.mounted, mounting_by_role)
 
     def identities(self) -> tuple[InstrumentIdentity, ...]:
@@ -190,7 +192,7 @@ class Bench:
 
         Returns descriptions of those that failed; empty if none did.
         """
-        by_urgency = sorted(self.mounted, key=_urgency)
+        by_urgency = sorted(self.mounted, key=_rank_urgency)
         return self._tell_all([(mounted.name, mounted.instrument.safe_state) for mounted in by_urgency])
 
     def close(self) -> tuple[str, ...]:
@@ -232,7 +234,7 @@ def open_bench(
         raise
 
 
-def _urgency(mounted: Mounted) -> int:
+def _rank_urgency(mounted: Mounted) -> int:
     """Return the rank in which an instrument is made safe; one that hangs delays the next."""
     ranks = [_FIRST_SAFE.index(role) for role in mounted.spec.provides if role in _FIRST_SAFE]
     return min(ranks, default=len(_FIRST_SAFE))
@@ -245,7 +247,7 @@ def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdenti
     """
     with blame_plugin(f"instrument {mounted.spec.role!r} ({mounted.spec.driver})"):
         identity = mounted.instrument.identity()
-    _recognise(mounted.spec, identity)
+    _check_identity(mounted.spec, identity)
     address = mounted.spec.options.get("address")
     return replace(
         identity,
@@ -257,13 +259,13 @@ def identity_of(mounted: Mounted, *, emulated: bool = False) -> InstrumentIdenti
     )
 
 
-def _recognise(spec: InstrumentSpec, identity: InstrumentIdentity) -> None:
+def _check_identity(spec: InstrumentSpec, identity: InstrumentIdentity) -> None:
     """Refuse an instrument other than the expected one: limits and calibration dates would not apply."""
     for label, expected, reported in (
         ("model", spec.model, identity.model),
         ("serial", spec.serial, identity.serial),
     ):
-        if expected and not _names(expected, reported):
+        if expected and not _is_named(expected, reported):
             raise InstrumentError(
                 spec.role,
                 spec.address,
@@ -272,7 +274,7 @@ def _recognise(spec: InstrumentSpec, identity: InstrumentIdentity) -> None:
             )
 
 
-def _names(expected: str, found: str) -> bool:
+def _is_named(expected: str, found: str) -> bool:
     """Whether all words of ``expected`` follow each other in ``found``: "2634B" names a "Model 2634B"."""
     expected_words, found_words = (re.findall(r"[^\s,;]+", text.casefold()) for text in (expected, found))
     return bool(expected_words) and any(
@@ -323,7 +325,7 @@ def _find_role(filled: dict[str, Mounted], role: str) -> Any:
     return filled[role].instrument
 
 
-def _samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
+def _list_samplers(mounted: list[Mounted]) -> tuple[Sampler, ...]:
     samplers = tuple(mounting.instrument for mounting in mounted if isinstance(mounting.instrument, Sampler))
     if all(sampler.channel != FORCE_CHANNEL for sampler in samplers):
         raise ConfigError(

@@ -153,7 +153,7 @@ def opener(
 
     Returns a function that opens one instrument, and actions once all of them are closed.
     """
-    emulation = _emulation(configuration, plugins, clock, resumed_at_s)
+    emulation = _start_emulation(configuration, plugins, clock, resumed_at_s)
     if emulation is not None:
         emulated(emulation)
 
@@ -174,7 +174,7 @@ def check_clock(configuration: Configuration, instruments: Iterable[InstrumentId
         )
 
 
-def _emulation(
+def _start_emulation(
     configuration: Configuration, plugins: Plugins, clock: Clock, resumed_at_s: float
 ) -> "Emulation | None":
     station = configuration.station
@@ -207,7 +207,7 @@ def _emulation(
     return Emulation(station.instruments, EmulatedRig(clock, world, station.motion), plugins.emulator)
 
 
-def _recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:
+def _read_recording(plugins: Plugins, path: Path, format_: str | None, dataset: str | None) -> Recording:
     from cbsr_qa.analysis.recording.reading import read_recording_file  # few stations replay a recording
 
     return read_recording_file(path, plugins, format_=format_, dataset=dataset)
@@ -250,7 +250,7 @@ def open_instrument(driver: str, plugins: Plugins, context: StationContext) -> I
         options=options,
         scene=None if scene is None else load_scene(scene).value,
         effect_factory=lambda name: plugins.factory(Kind.EFFECT, name),
-        read_recording=partial(_recording, plugins),
+        read_recording=partial(_read_recording, plugins),
     )
     factory = plugins.factory(Kind.INSTRUMENT, driver)
     try:

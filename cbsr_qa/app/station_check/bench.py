@@ -230,7 +230,7 @@ class _Look:
 
     def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
         """Request the ring, before instruments that check their contacts are linked."""
-        return not self._missing and confirm is not None and confirm(_connect_words(resistances_ohm))
+        return not self._missing and confirm is not None and confirm(_describe_connecting(resistances_ohm))
 
     def put_together(self, after: tuple[Action, ...]) -> None:
         """Build a bench if no instrument is missing, and query those that work through others."""
@@ -399,7 +399,7 @@ def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale
     )
 
 
-def _connect_words(resistances_ohm: tuple[float, ...]) -> str:
+def _describe_connecting(resistances_ohm: tuple[float, ...]) -> str:
     alike = len(set(resistances_ohm)) == 1
     resistance_words = (
         f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"

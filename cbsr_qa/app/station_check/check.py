@@ -92,8 +92,8 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
         If a signal stopped it; the bench is safe then, and nothing is stored.
     """
     plugins = discover()
-    configuration = _configuration(request, plugins)
-    ring = _ring(request, configuration.station.reference_ring)
+    configuration = _load_configuration(request, plugins)
+    ring = _choose_ring(request, configuration.station.reference_ring)
     simulated = simulates_frames(configuration.station)
     _refuse_both(request, ring, simulated)
     for folder in (reports_folder(), calibrations_folder()):
@@ -105,7 +105,7 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
     with open_store(database_url(request.database), tell=on_stderr) as store:
         if confirm_placed is not None and request.golden is not None and ring is None:
             # Contacts are checked while the instruments are linked: something must be connected by then.
-            confirm_placed(_place_words(request.golden))
+            confirm_placed(_describe_placing(request.golden))
         doing = "checking the station"
         with station_held(configuration.station.name, who=request.operator, doing=doing), stoppable():
             clock = station_clock(configuration)
@@ -123,11 +123,11 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
                 )
         if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
             raise findings.refused[0]  # no instrument could be opened at all
-        findings.lines += _backlog(store, configuration.station)
+        findings.lines += _check_backlog(store, configuration.station)
         golden = None
         if request.golden is not None and _may_press(request.golden, findings, confirm_placed):
-            golden = _golden(request, request.golden, findings, store, console)
-        check = _check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
+            golden = _run_golden(request, request.golden, findings, store, console)
+        check = _compose_check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
         store.stations.save_check(check, findings.ring)
     named = "" if golden is None else golden.words
     outcome = check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring, golden_run=named)
@@ -145,8 +145,8 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
         If the transcript is not whole, or of other instruments.
     """
     plugins = discover()
-    configuration = _configuration(request, plugins)
-    ring = _ring(request, configuration.station.reference_ring)
+    configuration = _load_configuration(request, plugins)
+    ring = _choose_ring(request, configuration.station.reference_ring)
     clock = VirtualClock()
     transcript = Transcript.read(path)
     replay = Replay(transcript, configuration.station, clock)
@@ -164,7 +164,7 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
     name = f"replay of {path.name}"
     if transcript.station != configuration.station.name:
         name += f", recorded at station {transcript.station}"
-    check = _check(name, request, configuration, software_versions(plugins), findings, None)
+    check = _compose_check(name, request, configuration, software_versions(plugins), findings, None)
     return check_outcome(check, findings.ring, configuration.sensor_type.pattern, ring)
 
 
@@ -189,7 +189,7 @@ def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: b
         )
 
 
-def _check(
+def _compose_check(
     name: str,
     request: CheckRequest,
     configuration: Configuration,
@@ -211,7 +211,7 @@ def _check(
     )
 
 
-def _configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
+def _load_configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
     validate_operator(request.operator)
     if request.golden is not None:
         validate_serial(request.golden)
@@ -226,7 +226,7 @@ def _configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
     )
 
 
-def _ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing | None:
+def _choose_ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing | None:
     """Return the station file's ring, with the resistance of the command line if given."""
     ohm = request.ring_ohm
     if not request.ring:
@@ -247,7 +247,7 @@ def _ask_confirmation(ask: Callable[[str], str], words: str) -> bool:
     return not ask(f"{words}. Press Enter when it is done, or type s to skip it.").strip()
 
 
-def _backlog(store: Repository, station: Station) -> list[CheckResult]:
+def _check_backlog(store: Repository, station: Station) -> list[CheckResult]:
     """Return a line on what waits for the central database, of a station that limits that."""
     limit_h = station.sync.backlog_hours
     if limit_h is None:
@@ -272,7 +272,7 @@ def _subject(serial: str) -> str:
     return f"golden sensor {serial}"
 
 
-def _place_words(serial: str) -> str:
+def _describe_placing(serial: str) -> str:
     return f"Put golden sensor {serial} on the station"
 
 
@@ -281,14 +281,14 @@ def _may_press(serial: str, findings: BenchFindings, confirm: Confirm) -> bool:
     reason = ""
     if any(line.outcome is CheckOutcome.FAILED and line.name in _NEEDED for line in findings.lines):
         reason = "the bench is not whole"
-    elif confirm is not None and not confirm(_place_words(serial)):
+    elif confirm is not None and not confirm(_describe_placing(serial)):
         reason = "the operator did not put it on the station"
     if reason:
         findings.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=reason, subject=_subject(serial)))
     return not reason
 
 
-def _golden(
+def _run_golden(
     request: CheckRequest,
     serial: str,
     findings: BenchFindings,

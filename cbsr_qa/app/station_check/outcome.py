@@ -88,10 +88,12 @@ def check_outcome(
     )
     checked = fill_from_object(CheckedStation, check, instruments=instruments)
     code = 3 if not instruments else 1 if check.outcome is CheckOutcome.FAILED else 0
-    return CommandOutcome(checked, _head(check, golden_run), tuple(_sections(check, ring, pattern, allowed)), code)
+    return CommandOutcome(
+        checked, _compose_head(check, golden_run), tuple(_list_sections(check, ring, pattern, allowed)), code
+    )
 
 
-def _head(check: StationCheck, golden_run: str) -> Page:
+def _compose_head(check: StationCheck, golden_run: str) -> Page:
     failed = check.lines(CheckOutcome.FAILED)
     if failed:
         reason = "; ".join(f"{line.subject}: {line.name}" for line in failed)
@@ -115,7 +117,7 @@ def _head(check: StationCheck, golden_run: str) -> Page:
     return Page("Station check", check.station, banner, facts, simulated, ())
 
 
-def _sections(
+def _list_sections(
     check: StationCheck, ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
 ) -> list[Section]:
     of_ring = [line for line in check.results if line.subject == RING]
@@ -125,7 +127,7 @@ def _sections(
     sections = [Section("What to do", todo)] if todo else []
     sections.append(Section("Instruments", (lines_table("Checks of the instruments.", other_lines),)))
     if of_ring:
-        sections.append(Section("Reference ring", _ring_blocks(of_ring, ring, pattern, allowed)))
+        sections.append(Section("Reference ring", _describe_ring(of_ring, ring, pattern, allowed)))
     if of_golden:
         caption = "The golden sensor's values against its history."
         sections.append(Section("Golden sensor", (Paragraph(_GOLDEN_WORDS), lines_table(caption, of_golden))))
@@ -134,7 +136,7 @@ def _sections(
     return sections
 
 
-def _ring_blocks(
+def _describe_ring(
     lines: Sequence[CheckResult], ring: RingReadings | None, pattern: DrivePattern, allowed: ReferenceRing | None
 ) -> tuple[Block, ...]:
     blocks: list[Block] = [Paragraph(_RING_WORDS)]
@@ -146,11 +148,11 @@ def _ring_blocks(
         blocks.append(
             Paragraph(f"{len(ring.resistances_ohm)} resistors of {ohm}, {len(ring.frames)} frames at {current_text}.")
         )
-        blocks += _figure(ring, pattern, allowed)
+        blocks += _draw_ring(ring, pattern, allowed)
     return (*blocks, lines_table("Checks with the reference ring.", lines))
 
 
-def _figure(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> list[Block]:
+def _draw_ring(ring: RingReadings, pattern: DrivePattern, allowed: ReferenceRing) -> list[Block]:
     try:
         fit = fit_ring(ring, pattern)
     except NumericsError:
