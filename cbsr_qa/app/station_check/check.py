@@ -343,7 +343,9 @@ def _write_page(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandO
 def _add_transcript(outcome: CommandOutcome[CheckedStation], recorder: Recorder) -> CommandOutcome[CheckedStation]:
     """Name the transcript, and the instruments of which it has nothing."""
     silent = [role for role, events in recorder.events_by_role.items() if not events]
-    if not recorder.has_links:
+    if recorder.failure:
+        result, words = outcome.result, f"{recorder.path} is not whole: {recorder.failure}"
+    elif not recorder.has_links:
         result, words = outcome.result, "none: no instrument of this station has a serial port or VISA resource"
     else:
         result = replace(outcome.result, transcript=recorder.path)

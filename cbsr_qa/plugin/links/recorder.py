@@ -3,7 +3,7 @@
 import hashlib
 import threading
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
@@ -77,11 +77,14 @@ class Recorder(Listener):
         self.path = path
         #: Whether a driver opened a link, or tried to.
         self.has_links = False
+        #: Why the file is not whole; empty while it is. The instruments are not to blame, and the check continues.
+        self.failure = ""
         #: Events written of each instrument.
         self.events_by_role = dict.fromkeys((spec.role for spec in station.instruments), 0)
         with writing(path):
             try:
-                self._file = path.open("x", encoding="ascii", newline="\n")
+                # Line by line: what was said before a crash is there.
+                self._file = path.open("x", encoding="ascii", newline="\n", buffering=1)
             except FileExistsError:
                 raise RefusedError(f"{path} exists already", remedy="name another file") from None
         for line in head_lines(station.name, {spec.role: spec.driver for spec in station.instruments}):
@@ -105,13 +108,19 @@ class Recorder(Listener):
         with self._writing:
             events = sum(self.events_by_role.values())
             self._write_line(end_line(events, self._digest.hexdigest()))
-            self._file.close()
+            with suppress(OSError):  # what cannot be written is noted already
+                self._file.close()
             if not self.has_links:
                 self.path.unlink()
 
     def _write_line(self, line: str) -> None:
         self._digest.update(f"{line}\n".encode("ascii"))
-        self._file.write(f"{line}\n")
+        if self.failure:
+            return
+        try:
+            self._file.write(f"{line}\n")
+        except OSError as error:
+            self.failure = error.strerror or str(error)
 
 
 class _HeardLink:

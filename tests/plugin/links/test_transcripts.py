@@ -1,5 +1,6 @@
 """Transcripts of links: written and read without loss, replayed byte for byte, and refused if they are not whole."""
 
+import errno
 import random
 from dataclasses import replace
 
@@ -207,6 +208,34 @@ def test_a_link_that_failed_to_open_fails_to_open_again_and_goes_on_when_it_is_o
         link = replay.connect("load_cell", Wire)
         link.write(word)
         link.close()
+
+
+def test_a_full_disk_is_no_failure_of_an_instrument_and_the_file_is_known_not_to_be_whole(station, tmp_path):
+    class Full:
+        def write(self, text):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+        def close(self):
+            raise OSError(errno.ENOSPC, "No space left on device")
+
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    link = recorder.connect("load_cell", Wire)
+    link.write(b"one")
+    recorder._file.close()
+    recorder._file = Full()
+    assert link.write(b"two") == 3
+    recorder.close()
+    assert recorder.failure == "No space left on device"
+    with pytest.raises(RefusedError, match="was cut off"):
+        Transcript.read(tmp_path / "t.txt")
+
+
+def test_what_was_said_before_a_crash_is_in_the_file(station, tmp_path):
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    recorder.connect("load_cell", Wire).write(b"one")
+    said = (tmp_path / "t.txt").read_text()
+    recorder.close()
+    assert said.endswith(" load_cell > one\n")
 
 
 def test_what_fails_because_the_driver_closed_the_link_is_no_failure_of_it(station, tmp_path):
