@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from cbsr_qa.domain.errors import CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import Station
-from cbsr_qa.plugin.links.taps import hide, is_timeout, list_secrets
+from cbsr_qa.plugin.links.taps import count_begun, hide, is_timeout, list_secrets
 from cbsr_qa.plugin.links.transcript import NOT_OPENED, Event, end_line, head_lines, quote
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.files import writing
@@ -46,7 +46,7 @@ class Listener:
         if sign == ">":
             self._sent[role], self._received[role] = hide(data, self._hidden), b""
         elif sign == "<":
-            self._received[role] = (self._received.get(role, b"") + hide(data, self._hidden))[-_REMEMBERED:]
+            self._received[role] = hide(self._received.get(role, b"") + data, self._hidden)[-_REMEMBERED:]
 
     def describe_last(self, role: str) -> str:
         """Say what was sent last and what came then; empty if nothing was sent."""
@@ -79,6 +79,8 @@ class Recorder(Listener):
         self.has_links = False
         #: Why the file is not whole; empty while it is. The instruments are not to blame, and the check continues.
         self.failure = ""
+        #: Sign and bytes of what may be the beginning of a secret, which may come octet by octet.
+        self._begun: dict[str, tuple[str, bytes]] = {}
         #: Events written of each instrument.
         self.events_by_role = dict.fromkeys((spec.role for spec in station.instruments), 0)
         with writing(path):
@@ -100,18 +102,29 @@ class Recorder(Listener):
             return
         with self._writing:
             super().note(role, sign, data)
-            self._write_line(Event(self._clock.now(), role, sign, hide(data, self._hidden)).format())
-            self.events_by_role[role] += 1
+            if role in self._begun and self._begun[role][0] != sign:
+                self._write_event(role, *self._begun.pop(role))
+            shown = hide(self._begun.pop(role, (sign, b""))[1] + data, self._hidden)
+            if begun := count_begun(shown, self._hidden):
+                self._begun[role], shown = (sign, shown[-begun:]), shown[:-begun]
+            if shown:
+                self._write_event(role, sign, shown)
 
     def close(self) -> None:
         """Write the last line."""
         with self._writing:
+            for role, (sign, data) in self._begun.items():
+                self._write_event(role, sign, data)
             events = sum(self.events_by_role.values())
             self._write_line(end_line(events, self._digest.hexdigest()))
             with suppress(OSError):  # what cannot be written is noted already
                 self._file.close()
             if not self.has_links:
                 self.path.unlink()
+
+    def _write_event(self, role: str, sign: str, data: bytes) -> None:
+        self._write_line(Event(self._clock.now(), role, sign, data).format())
+        self.events_by_role[role] += 1
 
     def _write_line(self, line: str) -> None:
         self._digest.update(f"{line}\n".encode("ascii"))

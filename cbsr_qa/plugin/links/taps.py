@@ -73,6 +73,12 @@ def hide(data: bytes, secrets: Sequence[bytes]) -> bytes:
     return data
 
 
+def count_begun(data: bytes, secrets: Sequence[bytes]) -> int:
+    """Count the bytes at the end of what was said that may be the beginning of a secret."""
+    begun = (size for secret in secrets for size in range(1, len(secret)) if data.endswith(secret[:size]))
+    return max(begun, default=0)
+
+
 def list_secrets(station: Station) -> list[bytes]:
     """Values of the instruments' options that are named like secrets, the longest first."""
     options: list[Mapping[str, Any]] = [spec.options for spec in station.instruments]

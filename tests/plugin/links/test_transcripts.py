@@ -210,6 +210,22 @@ def test_a_link_that_failed_to_open_fails_to_open_again_and_goes_on_when_it_is_o
         link.close()
 
 
+@pytest.mark.parametrize("sign", ["<", ">"])
+def test_a_secret_that_passes_octet_by_octet_is_not_written_and_nothing_else_is_lost(station, tmp_path, sign):
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    recorder.connect("load_cell", Wire)
+    said = b"hush, hunter2 hunts; hunte"
+    for at in range(len(said)):
+        recorder.note("load_cell", sign, said[at : at + 1])
+        if at == 3:
+            recorder.note("load_cell", "-", b"hunt")  # of the other direction: no part of the same word
+    assert "hunter2" not in recorder.describe_last("load_cell")
+    recorder.close()
+    events = Transcript.read(tmp_path / "t.txt").events
+    assert b"".join(event.data for event in events if event.sign == sign) == b"hush, *** hunts; hunte"
+    assert b"".join(event.data for event in events if event.sign == "-") == b"hunt"
+
+
 def test_a_full_disk_is_no_failure_of_an_instrument_and_the_file_is_known_not_to_be_whole(station, tmp_path):
     class Full:
         def write(self, text):
