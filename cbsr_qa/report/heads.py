@@ -70,7 +70,7 @@ def _describe_issued(result: RunResult) -> tuple[str, str]:
     if characterised is None:
         signature = result.calibration.signature if result.calibration else None
         issued = f"issued, signed by {signature.words}" if signature else "issued"
-        return "Calibration", issued if result.calibration else f"none: {result.calibration_why}"
+        return "Calibration", issued if result.calibration else f"none: {result.calibration_words}"
     passed = result.verdict.outcome in (Outcome.PASS, Outcome.MARGINAL)
     reason = next(iter(characterised.refused), "" if passed else "the run did not pass")
     return "Material file", f"none: {reason}" if reason else "issued"

@@ -206,10 +206,11 @@ class Limits:
         share = counted_limited.mean(axis=1)
         worst = int(share.argmax())
         if share[worst] >= self._plan.safety.compliance:
-            drives = self._name_limited_drives(limited[worst])
+            suspect, drives = self._name_limited_drives(limited[worst])
+            count = int(counted_limited[worst].sum())
             raise SafetyError(
                 "compliance",
-                f"{int(counted_limited[worst].sum())} of {counted_limited.shape[1]} readings of a frame of {who}"
+                f"{suspect}{count} of {counted_limited.shape[1]} readings of a frame of {who}"
                 f" ({100 * share[worst]:.3g} %) were at the source's compliance or the end of the meter's range"
                 f"{drives}; the station stops at {100 * self._plan.safety.compliance:g} %",
                 remedy="check leads and contacts of these electrodes, and the drive current",
@@ -261,17 +262,20 @@ class Limits:
                 f"{out_of_range_C[0]:.4g} °C measured by {who}; the station allows {lowest_C:g} to {highest_C:g} °C",
             )
 
-    def _name_limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> str:
-        """Name the drive pairs whose counted readings were all limited: an open lead limits both of its pairs."""
+    def _name_limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[str, str]:
+        """Name the electrode whose lead may be open, and the drive pairs whose counted readings were all limited.
+
+        An open lead limits both of its pairs. Each text is empty if there is none.
+        """
         limited_pairs = self._plan.sensor_type.pattern.list_silent_drives(limited, self._counted)
         if not limited_pairs:
-            return ""
+            return "", ""
         drive_names = ", ".join(f"{source}–{sink}" for source, sink in limited_pairs[:6]) + (
             " …" if len(limited_pairs) > 6 else ""
         )
         electrode = find_shared_electrode(limited_pairs)
-        suspect = "" if electrode is None else f": electrode {electrode} may be open"
-        return f", all of those driven through electrodes {drive_names}{suspect}"
+        suspect = "" if electrode is None else f"electrode {electrode} may be open: "
+        return suspect, f", all of those driven through electrodes {drive_names}"
 
     @staticmethod
     def _check_age(rule: str, what: str, age_s: float, allowed_s: float) -> None:

@@ -160,10 +160,10 @@ def run_flagged(flags, *, first=3, **limits):
 def test_an_open_lead_stops_the_run_with_its_frame_stored(flag):
     ended, told, script = run_flagged(flags_of_an_open_lead(7, flag=flag))
     assert ended.end is EndReason.BROKEN
-    assert "rule 'compliance': 26 of 208 readings of a frame" in ended.detail
+    assert "rule 'compliance': electrode 7 may be open: 26 of 208 readings of a frame" in ended.detail
     assert "(12.5 %)" in ended.detail
     assert ended.detail.endswith("; check leads and contacts of these electrodes, and the drive current")
-    assert "driven through electrodes 6–7, 7–8: electrode 7 may be open; the station stops at 5 %" in ended.detail
+    assert "driven through electrodes 6–7, 7–8; the station stops at 5 %" in ended.detail
     frames = [d.frames for d in told if isinstance(d, FramesTaken)]
     assert [int((block.flags > 0).sum()) for block in frames] == [0, 0, 32]
     assert script.names()[-3:] == SAFE

@@ -314,7 +314,7 @@ def run_outcome(tested: RunOutcome) -> CommandOutcome[RunOutcome]:
     ]
     printed = [("Report", str(tested.report or "none"))]
     if tested.calibration is None:
-        facts.append(("Calibration", f"none: {tested.calibration_why or 'not written'}"))
+        facts.append(("Calibration", f"none: {result.calibration_words or 'not written'}"))
     else:
         printed.append(("Calibration", str(tested.calibration)))
         if result.calibration is not None and result.calibration.signature is not None:

@@ -52,6 +52,14 @@ class RunResult:
     coded: tuple[FailureCode, ...] = ()
 
     @property
+    def calibration_words(self) -> str:
+        """Why no calibration was issued, without the reason that the verdict or the end of the run states."""
+        words = self.calibration_why
+        for stated in filter(None, (self.record.end_detail, self.verdict.reason)):
+            words = words.removesuffix(f": {stated}")
+        return words
+
+    @property
     def failure_codes(self) -> tuple[FailureCode, ...]:
         """Codes of what the run failed, the worst first, whether the verdict was overridden or not."""
         outcome, end = None if self.missing else self.verdict.outcome, str(self.record.end)

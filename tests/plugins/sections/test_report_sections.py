@@ -139,3 +139,20 @@ def test_instruments_are_traceable(result):
     assert rows[1][-2:] == ["not stated", "–"]
     words = " ".join(cell for table in tables(section) for row in texts(table) for cell in row)
     assert result.record.identity.configuration_digest in words
+
+
+@pytest.mark.parametrize(
+    ("why", "words"),
+    [
+        (
+            "the verdict is fail, so no calibration is issued: drift is 2",
+            "the verdict is fail, so no calibration is issued",
+        ),
+        ("the run was broken: rule 'force'", "the run was broken"),
+        ("the recipe has no phase to calibrate from", "the recipe has no phase to calibrate from"),
+    ],
+)
+def test_why_there_is_no_calibration_does_not_repeat_the_banner(result, why, words):
+    verdict = replace(result.verdict, reason="drift is 2")
+    record = replace(result.record, end_detail="rule 'force'")
+    assert replace(result, verdict=verdict, record=record, calibration_why=why).calibration_words == words
