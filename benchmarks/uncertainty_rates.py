@@ -13,7 +13,7 @@ from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, ExpandedForce
 from cbsr_qa.stats.conformity import conformance_probability
 
-_MAP: Final = "map between places"
+_MAP: Final = "response of the sheet"
 #: Ends of the bins of stated probabilities of conformance.
 _BINS: Final = (0.0, 0.05, 0.2, 0.4, 0.6, 0.8, 0.95, 1.0)
 

@@ -57,8 +57,8 @@ _PERFORMED: Final = {
 }
 _OUTCOMES: Final = {
     "pass": "conforms",
-    "conditionalPass": "within the limit, inside the guard band: not decided",
-    "conditionalFail": "beyond the limit, by less than U: not decided",
+    "conditionalPass": "within the limit by less than U (not decided)",
+    "conditionalFail": "beyond the limit by less than U (not decided)",
     "fail": "does not conform",
     "": "",
 }
@@ -297,8 +297,8 @@ def describe_checked(certificate: Certificate) -> str:
     outside = [load for load in left_out if not load.why]
     errors = {load: load.error_N for load in outside if load.error_N is not None}
     if outside:
-        lies = "lie" if len(outside) > 1 else "lies"
-        parts.append(f"{len(outside)} {lies} outside the range, which ends at loads that calibrated or agreed")
+        lie = "lie" if len(outside) > 1 else "lies"
+        parts.append(f"{len(outside)} {lie} outside the range, which ends at loads that calibrated or agreed")
     if errors:
         worst = max(errors, key=lambda load: abs(errors[load]))
         at = f"at {worst.reference_N:.3g} N, {_place(worst.place_mm)} mm"

@@ -115,13 +115,13 @@ def test_inputs_that_nothing_states_are_named():
     assert "U without: drift of the load cell; in use also without: temperature." in results
     assert "U is that of the error, without: scatter of the load cell ." in checked
     alike = certificate(forces=forces, forces_in_use=in_use, checked=(checked_load(not_stated=forces[0].not_stated),))
-    assert "U is that of the error, without: the same ." in text_of(render_certificate(alike, ""))
+    assert "U is that of the error, without: the same inputs ." in text_of(render_certificate(alike, ""))
 
 
 def test_both_uncertainties_of_a_force_are_told_apart():
     forces, drifting = (expanded_force(u_N=0.05),), (expanded_force(u_N=0.07, name=GAIN_DRIFT),)
     page = render_certificate(certificate(forces=forces, forces_in_use=drifting), "")
-    assert "<td>0.10</td><td>2.07</td><td>23</td><td>0.14</td><td>2.07</td>" in page
+    assert '<td class="first">0.10</td><td>2.07</td><td>23</td><td>0.14</td><td>2.07</td>' in page
     assert (
         "U in use is that of a later force, until 2027-11-21, with a drift of the readings' gains over 1 year."
         in (text_of(page))
@@ -200,8 +200,16 @@ def test_conformity_is_stated_with_its_risk():
 @pytest.mark.parametrize(
     ("errors", "outcome", "said"),
     [
-        ((0.0, 0.25), "conditionalPass", "is not decided: of 2 checked loads, 1 conform, 1 within the limit, inside"),
-        ((0.0, 0.35), "conditionalFail", "is not decided: of 2 checked loads, 1 conform, 1 beyond the limit"),
+        (
+            (0.0, 0.25),
+            "conditionalPass",
+            "is not decided: of 2 checked loads, 1 conform, 1 within the limit by less than U (not decided)",
+        ),
+        (
+            (0.0, 0.35),
+            "conditionalFail",
+            "is not decided: of 2 checked loads, 1 conform, 1 beyond the limit by less than U (not decided)",
+        ),
         (
             (0.0, 0.9),
             "fail",

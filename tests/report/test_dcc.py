@@ -160,7 +160,10 @@ def _flat(text):
 def _clauses_of_page(page):
     """Return every clause of the page but its headings, the names of its rows, and its tables of numbers."""
     inside = re.sub(
-        r"<(header|footer|h1|h2|title|style)\b.*?</\1>|<table class=\"grid\">.*?</table>", "", page, flags=re.S
+        r"<(header|footer|h1|h2|title|style)\b.*?</\1>|<table class=\"grid.*?</table>|</?strong>",
+        "",
+        page,
+        flags=re.S,
     )
     texts = re.findall(r"<(?:td|p|li|div)\b[^>]*>([^<]*)</", inside)
     return [
@@ -171,7 +174,7 @@ def _clauses_of_page(page):
     ]
 
 
-#: Clauses that are about the paper, and not about the calibration.
+#: Clauses that are about the paper, or lead to a list of inputs.
 _PAPER = {
     "Simulated",
     "no physical sensor was calibrated",
@@ -179,6 +182,8 @@ _PAPER = {
     "Date of issue",
     "Signature",
     "The 8 nearest to their limit are listed",
+    "U without",
+    "in use also without",
 }
 
 

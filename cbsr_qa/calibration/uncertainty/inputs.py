@@ -131,19 +131,26 @@ class ForceInputs:
 
     def _map(self, point: ForcePoint) -> Iterator[ForceInput | str]:
         batch, stderr = self.model.batch, point.response_stderr
-        source = "posterior of the sheet's response at this place, with the noise of readings and load cell in it"
+        source = (
+            "how well the presses tell the response at this place, with the noise of readings and load cell in it"
+        )
         shared_share = batch.share if batch is not None and batch.alike else 0.0
         yield ForceInput(
-            "map between places", "A", Entry.RESPONSE, stderr * sqrt(1 - shared_share), source, in_runtime=True
+            "response of the sheet", "A", Entry.RESPONSE, stderr * sqrt(1 - shared_share), source, in_runtime=True
         )
         if shared_share:
-            words = f"{shared_share:.0%} of the map's variance, by model {batch.model[:12]}" if batch else ""
+            words = f"{shared_share:.0%} of that response's variance, by model {batch.model[:12]}" if batch else ""
             yield ForceInput(
-                "map of the batch", "A", Entry.RESPONSE, stderr * sqrt(shared_share), words, in_runtime=True
+                "response common to the batch",
+                "A",
+                Entry.RESPONSE,
+                stderr * sqrt(shared_share),
+                words,
+                in_runtime=True,
             )
 
     def _line(self, point: ForcePoint) -> Iterator[ForceInput | str]:
-        line, name = self.calibration.against_stress, "line of the material"
+        line, name = self.calibration.against_stress, "characteristic of the material"
         if line.slope.stderr is None and line.intercept.stderr is None:
             yield name
             return
@@ -181,7 +188,7 @@ class ForceInputs:
         presses = sum(place.loads for place in self.calibration.baseline if place.value is not None)
         places = sum(1 for place in self.calibration.baseline if place.value is not None)
         freedom = max(presses - places + _DOF_OF_PLACE * places, _LEAST_DOF)
-        source, widened = f"scatter of {presses} loads at {places} places about the map", 1.0
+        source, widened = f"scatter of {presses} loads at {places} places about their fitted response", 1.0
         if freedom < _FEWEST_DOF:
             widened = coverage_factor(freedom) / coverage_factor(_FEWEST_DOF)
             source += f", times {widened:.3g}: its {freedom:.2g} degrees of freedom count as {_FEWEST_DOF:.0f}"

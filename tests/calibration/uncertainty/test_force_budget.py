@@ -99,7 +99,7 @@ def test_a_load_cells_certificate_enters_with_drift_since_its_date_and_resolutio
         "area of the head",
         "place of indentation, x",
         "place of indentation, y",
-        "line of the material",
+        "characteristic of the material",
         "temperature",
         "drift of gains since the reference",
     }
@@ -186,18 +186,18 @@ def test_a_line_whose_slope_and_intercept_are_partly_correlated_has_their_varian
     area_mm2 = stated.indenter.area_mm2
     stress_kPa = 2.0 / area_mm2 * 1e3
     variance = (2e-4 * stress_kPa) ** 2 + 2e-3**2 - 2 * stress_kPa * 2e-7
-    assert uncertainties(expanded)["line of the material"] == pytest.approx(sqrt(variance) * area_mm2 / 4.5)
+    assert uncertainties(expanded)["characteristic of the material"] == pytest.approx(sqrt(variance) * area_mm2 / 4.5)
     unknown = QuasiStatic(Parameter(4.5e-3, None, "paper"), Parameter(-1e-3, None, "assumed"))
     (expanded,) = evaluate_forces(replace(stated, against_stress=unknown), [2.0], [PLACE])
-    assert "line of the material" in expanded.not_stated
+    assert "characteristic of the material" in expanded.not_stated
 
 
 def test_what_comes_from_the_batch_is_a_part_of_the_maps_variance(stated):
     model = replace(stated.force, batch=BatchUse("d" * 64, True, 0.4, 0.25))
     (alone,), (with_batch,) = (evaluate_forces(one, [2.0], [PLACE]) for one in (stated, replace(stated, force=model)))
-    whole, parts = uncertainties(alone)["map between places"], uncertainties(with_batch)
-    assert parts["map of the batch"] == pytest.approx(0.5 * whole)
-    assert hypot(parts["map of the batch"], parts["map between places"]) == pytest.approx(whole)
+    whole, parts = uncertainties(alone)["response of the sheet"], uncertainties(with_batch)
+    assert parts["response common to the batch"] == pytest.approx(0.5 * whole)
+    assert hypot(parts["response common to the batch"], parts["response of the sheet"]) == pytest.approx(whole)
 
 
 def test_a_shorter_settling_time_adds_the_prediction_of_what_is_to_come(stated):
