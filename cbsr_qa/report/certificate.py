@@ -70,6 +70,8 @@ _DECISIONS: Final = {
     "fail": "does not conform",
     "": "",
 }
+#: What a specific risk supposes: where errors are known to be small, more loads conform than it says.
+_KNOWING: Final = "by the inputs that are stated, with nothing known before"
 #: Degrees of freedom above which k is that of infinitely many, within 0.003.
 _MANY: Final = 999
 
@@ -207,16 +209,8 @@ def state_conformity(certificate: Certificate) -> str:
         )
     risks = [1 - load.conformance for load in loads if load.outcome == "pass" and load.conformance is not None]
     kept = [load.conformance for load in loads if load.outcome == "fail" and load.conformance is not None]
-    accepted = (
-        f" Largest specific risk of false acceptance by the inputs that are stated: {_percent(max(risks))}."
-        if risks
-        else ""
-    )
-    rejected = (
-        f" Largest specific risk of false rejection by the inputs that are stated: {_percent(max(kept))}."
-        if kept
-        else ""
-    )
+    accepted = f" Largest specific risk of false acceptance {_KNOWING}: {_percent(max(risks))}." if risks else ""
+    rejected = f" Largest specific risk of false rejection {_KNOWING}: {_percent(max(kept))}." if kept else ""
     counts = {word: sum(load.outcome == word for load in loads) for word in _OUTCOMES if word}
     plain = {"pass": "conform", "fail": "do not conform"} if len(loads) > 1 else {}
     verdict = {
@@ -286,7 +280,8 @@ def describe_use(certificate: Certificate) -> str:
     names = {component.name for force in certificate.forces_in_use for component in force.components}
     parts = [f"a drift of the readings' gains over {IN_USE_YEARS:g} year"] if GAIN_DRIFT in names else []
     parts += ["the temperatures named above"] if "temperature" in names else []
-    return f"U in use is that of a later force{until}, with {' and '.join(parts) or 'nothing more'}."
+    with_more = f"with {' and '.join(parts)}" if parts else "of which no further input is stated"
+    return f"U in use is that of a later force{until}, {with_more}."
 
 
 def describe_checked(certificate: Certificate) -> str:

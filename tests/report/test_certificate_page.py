@@ -191,7 +191,7 @@ def test_conformity_is_stated_with_its_risk():
     one = certificate()
     assert state_conformity(one).startswith(
         "The indicated force conforms with the maximum permissible error: of 2 checked loads, 2 conform."
-        " Largest specific risk of false acceptance by the inputs that are stated:"
+        " Largest specific risk of false acceptance by the inputs that are stated, with nothing known before:"
     )
     assert "T = 0.2 N + 5 % of the force" in describe_rule(one)
     assert "w = U (JCGM 106:2012, 8.3)" in describe_rule(one)
