@@ -30,7 +30,7 @@ def parts(expanded):
 
 def test_an_error_has_the_inputs_of_its_press_and_of_the_reference_alone(issued):
     (error,), (force,) = evaluate_errors(issued, [PRESS]), evaluate_forces(issued, [3.0], [PLACE])
-    of_sensor = {"map between places", "line of the material"}
+    of_sensor = {"response of the sheet", "characteristic of the material"}
     of_use = {"temperature", GAIN_DRIFT}
     assert set(parts(force)) - set(parts(error)) == of_sensor | of_use
     assert set(parts(error)) - set(parts(force)) == {"scatter of the load cell"}
