@@ -174,7 +174,7 @@ def _clauses_of_page(page):
     ]
 
 
-#: Clauses that are about the paper, or lead to a list of inputs.
+#: Clauses that are about the paper, or lead to a list of inputs, which may be empty.
 _PAPER = {
     "Simulated",
     "no physical sensor was calibrated",
@@ -184,6 +184,7 @@ _PAPER = {
     "The 8 nearest to their limit are listed",
     "U without",
     "in use also without",
+    "nothing",
 }
 
 
