@@ -9,7 +9,7 @@ from xml.etree import ElementTree
 from xml.etree.ElementTree import Element
 
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate
-from cbsr_qa.report.certificate import (
+from cbsr_qa.report.certificate_texts import (
     ITEM,
     SCOPE,
     describe_place,

@@ -6,7 +6,7 @@ from xml.etree.ElementTree import Element
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_MEASURED, NOT_STATED, Certificate
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
-from cbsr_qa.report.certificate import (
+from cbsr_qa.report.certificate_texts import (
     ABOUT_ERRORS,
     ABOUT_THE_DAY,
     ABOUT_UNCERTAINTIES,

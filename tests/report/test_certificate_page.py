@@ -10,14 +10,12 @@ from certificates import HOSTILE, certificate, checked_load, expanded_force, lar
 
 from cbsr_qa.domain.results.certificate import Customer, LeftOutLoad, Replacement
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, MonteCarlo
-from cbsr_qa.report.certificate import (
-    choose_loads,
+from cbsr_qa.report.certificate import choose_loads, format_with_uncertainty, render_certificate
+from cbsr_qa.report.certificate_texts import (
     describe_checked,
     describe_rule,
     describe_traceability,
-    format_with_uncertainty,
     list_remarks,
-    render_certificate,
     state_conformity,
 )
 

@@ -24,7 +24,8 @@ from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.report import Banner, CommandOutcome
 from cbsr_qa.domain.results.signature import fingerprint
-from cbsr_qa.report.certificate import render_certificate, state_conformity
+from cbsr_qa.report.certificate import render_certificate
+from cbsr_qa.report.certificate_texts import state_conformity
 from cbsr_qa.report.dcc import render_dcc
 from cbsr_qa.report.page import answer
 from cbsr_qa.report.tables import plural
