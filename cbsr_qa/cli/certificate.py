@@ -119,7 +119,8 @@ def verify(
     """Check that a certificate is unchanged, signed, in date, and neither replaced nor revoked.
 
     It is compared with its signature file and with the database, whichever is there; in the database its run is
-    checked too, with every frame. Exit code 1 unless it is valid.
+    checked too, with every frame; what was removed from its end together with its links is not noticed. Exit code 1
+    unless it is valid.
     """
     from cbsr_qa.app.certificate.verify import verify_certificate
 
