@@ -168,9 +168,12 @@ def check_clock(configuration: Configuration, instruments: Iterable[InstrumentId
     """Refuse real instruments on a virtual clock (ConfigError)."""
     real = [identity.role for identity in instruments if not identity.simulated]
     if real and configuration.station.clock == "virtual":
+        remedy = 'set clock = "real" in the station file: real instruments need real time'
+        if configuration.station.emulated_scene is not None:
+            remedy = "put real and emulated instruments into two station files: they have no clock in common"
         raise ConfigError(
             f"station {configuration.station.name!r} has a virtual clock, but {', '.join(real)} is a real instrument",
-            remedy='set clock = "real" in the station file: real instruments need real time',
+            remedy=remedy,
         )
 
 

@@ -6,8 +6,9 @@ from pathlib import Path
 import pytest
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.plugin.discovery import discover
-from cbsr_qa.station.setup import configure, opener, station_clock
+from cbsr_qa.station.setup import check_clock, configure, opener, station_clock
 
 PAGE = (Path(__file__).resolve().parents[2] / "docs" / "how-to" / "build-this-bench.md").read_text()
 WHOLE, PHIDGET, BOARD, BY_HAND = re.findall(r"^```toml\n(.*?)^```", PAGE, re.M | re.S)
@@ -53,3 +54,15 @@ def test_its_tables_are_taken_and_only_the_instruments_are_missing(name, tmp_pat
 
 def test_it_says_plainly_what_software_limits_are_not():
     assert "**Software limits are not a safety-rated stop.**" in PAGE
+
+
+@pytest.mark.parametrize(
+    ("station", "remedy"), [("bench-emulated", "two station files"), ("simulated", 'clock = "real"')]
+)
+def test_a_real_instrument_on_a_virtual_clock_is_refused_with_what_can_be_done(station, remedy):
+    """A station that emulates others cannot have a real clock either."""
+    configuration = configure(station, "nine-locations", sensor_type=None, material=None, seed=1)
+    there = InstrumentIdentity("load_cell", "serial-load-cell", "cell", "", "", simulated=False)
+    with pytest.raises(ConfigError, match="load_cell is a real instrument") as refused:
+        check_clock(configuration, [there])
+    assert remedy in refused.value.remedy
