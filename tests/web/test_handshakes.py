@@ -10,6 +10,7 @@ from contextlib import ExitStack
 import pytest
 
 from cbsr_qa.web import handshakes
+from tests.samples.loops import run_coroutine
 
 _BEGUN = bytes.fromhex("16030102000100")  # type, version and length of a record, and two of its 512 bytes
 _ANSWER = b"an answer"
@@ -73,8 +74,7 @@ def _serve(contexts, ask):
             await served.wait_closed()
             listening.close()
 
-    with asyncio.Runner(loop_factory=handshakes.ServerLoop) as runner:
-        return runner.run(serve())
+    return run_coroutine(serve(), handshakes.ServerLoop)
 
 
 def _opened(port, sent):
