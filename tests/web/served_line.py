@@ -65,6 +65,8 @@ picture = "cover.png"
 #: Station seconds a second of each station.
 _SPEEDS = {"bench-1": 20.0, "bench-2": 20.0, "dying": 60.0}
 PIN = "4711"
+#: Operator whose PIN is guessed: what others type wrongly does not count for him.
+GUESSED = "Guessed"
 _STATION = (Path(__file__).parents[2] / "stations" / "line-1.toml").read_text()
 
 
@@ -136,8 +138,9 @@ class ServedLine:
             station = paced.replace('"line-1"', f'"{name}"')
             if name == "dying":
                 station = station.replace('"simulated-bench"', '"dying-bench"')
-                station += '\n[gate]\noperator = "refuse"\n\n[[gate.operators]]\nname = "Ada"\n'
-                station += f'pin = "{hash_pin(PIN)}"\n'
+                station += '\n[gate]\noperator = "refuse"\n'
+                for operator in ("Ada", GUESSED):
+                    station += f'\n[[gate.operators]]\nname = "{operator}"\npin = "{hash_pin(PIN)}"\n'
             (self.folder / f"{name}.toml").write_text(station)
         five_mm = [[0.0, 0.0], [30.0, 0.0], [-30.0, 0.0], [0.0, 30.0], [0.0, -30.0]]
         # More than a busy machine presses while a page is looked at.

@@ -11,7 +11,7 @@ from types import SimpleNamespace
 from urllib.parse import urlencode
 
 import pytest
-from served_line import PIN, TOKEN, until
+from served_line import GUESSED, PIN, TOKEN, until
 
 from cbsr_qa.web.application import Site
 from cbsr_qa.web.line import MAX_READ_ONLY_VIEWERS, Viewer
@@ -154,13 +154,13 @@ def test_the_same_wrong_token_again_is_no_other_guess(line):
 
 
 def test_wrong_pins_slow_down(line):
-    form = {"serial": "SLOW-1", "recipe": "five-places", "operator": "Ada"}
+    form = {"serial": "SLOW-1", "recipe": "five-places", "operator": GUESSED}
 
     def start(pin):
         return _ask(line, "POST", "/stations/dying/start", _SIGNED, urlencode({**form, "pin": pin}))[1]
 
     answers = [start(f"{n:04d}") for n in range(5)]
-    assert all("not that of Ada" in words for words in answers), answers
+    assert all(f"not that of {GUESSED}" in words for words in answers), answers
     for n in range(5, 15):  # until the wait is so long that it cannot end before the right PIN comes
         words = start(f"{n:04d}")
         if "try again in 1 s" in words:
@@ -168,5 +168,5 @@ def test_wrong_pins_slow_down(line):
         elif "Too many wrong PINs" in words:
             break
     assert "Too many wrong PINs" in start(PIN)
-    resumed = urlencode({"operator": "Ada", "pin": "9999", "run": ""})
+    resumed = urlencode({"operator": GUESSED, "pin": "9999", "run": ""})
     assert "no such run" in _ask(line, "POST", "/stations/dying/resume", _SIGNED, resumed)[1]
