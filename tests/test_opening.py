@@ -63,6 +63,7 @@ ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/eit/mesh/files.py", "meshio.read"): (1, CHECKED),
     ("cbsr_qa/eit/mesh/files.py", "np.load"): (1, MEMORY),
     ("cbsr_qa/eit/mesh/files.py", "zipfile.ZipFile"): (1, MEMORY),
+    ("cbsr_qa/plugin/links/replay.py", "self._links[role].open"): (1, NOT_A_FILE),
     ("cbsr_qa/plugin/links/recorder.py", "self._link.read_bytes"): (1, NOT_A_FILE),
     ("cbsr_qa/plugin/links/visa_link.py", "self._resource.read_bytes"): (1, NOT_A_FILE),
     ("cbsr_qa/plugin/software.py", "distribution(name).read_text"): (1, OWN),
