@@ -133,10 +133,16 @@ _OUTCOMES: Final = {"pass": Outcome.PASS, "fail": Outcome.FAIL}
 
 @dataclass(frozen=True, slots=True)
 class Overridden(VerdictOverride):
-    """The override that was stored, the calibration that the run issued, and what becomes of it (``note``)."""
+    """The override that was stored, the calibration that the run issued, and what becomes of it (``note``).
+
+    Parameters
+    ----------
+    standing_certificates : numbers of certificates of the run that nothing replaced or revoked.
+    """
 
     calibration: str | None
     note: str
+    standing_certificates: tuple[str, ...]
 
 
 def override_verdict(
@@ -170,6 +176,8 @@ def override_verdict(
         override = store.changes.override_verdict(run, _OUTCOMES[outcome], operator=name, why=reason)
         calibration = next((analysis.calibration for analysis in analyses if analysis.calibration is not None), None)
         identity, report = store.runs.read_identity(run), report_command(run, store)
+        issued = store.certificates.list_all(identity.sensor.serial)
+        standing = [one.issued.number for one in issued if one.issued.run == run and not one.withdrawals]
     note = "no calibration was issued; an override does not issue one"
     if calibration is not None and override.outcome is Outcome.FAIL:
         note = (
@@ -177,7 +185,11 @@ def override_verdict(
         )
     elif calibration is not None:
         note = f"calibration {calibration} is unchanged"
-    facts = (("Run", identity.words), ("Calibration", note))
-    overridden = fill_from_object(Overridden, override, calibration=calibration, note=note)
+    facts = [("Run", identity.words), ("Calibration", note)]
+    if override.outcome is Outcome.FAIL:
+        facts += [("Certificate", f"{number} stands; cbsr-qa certificate revoke {number}") for number in standing]
+    overridden = fill_from_object(
+        Overridden, override, calibration=calibration, note=note, standing_certificates=tuple(standing)
+    )
     printed = (("Report", f"{report} writes it with this"),)
     return answer(overridden, f"verdict {override.words}", "", facts, printed=printed)

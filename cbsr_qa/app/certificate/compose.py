@@ -12,13 +12,13 @@ from typing import Any, Final
 
 from cbsr_qa.app.certificate.checked_loads import check_loads
 from cbsr_qa.app.certificate.request import CertificateRequest, choose_settings
+from cbsr_qa.app.certificate.verdict import RunVerdict
 from cbsr_qa.app.run.decided_again import check_decided, judging_recipe
 from cbsr_qa.calibration.file.hdf5 import calibration_of
 from cbsr_qa.calibration.runtime.calibration import Calibration
 from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
 from cbsr_qa.config.merging import content_digest
 from cbsr_qa.domain.errors import CalibrationError, RefusedError, StoreError
-from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.plan.standards import find_doubtful_dates
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
@@ -170,18 +170,17 @@ def _require_pass(
     if not stored:
         raise RefusedError(f"run {run} of sensor {serial} is not certified: it was {record.end} and has no result")
     latest = stored[0]
-    overrides = [one for one in store.changes.list_overrides(run) if one.analysis == latest.analysis]
-    outcome = overrides[-1].outcome if overrides else latest.verdict.outcome
-    overridden = f"overridden by {overrides[-1].by}: {overrides[-1].why}" if overrides else ""
-    if outcome not in (Outcome.PASS, Outcome.MARGINAL):
-        reason = overridden or latest.verdict.reason
-        raise RefusedError(f"sensor {serial} is not certified: the verdict of run {run} is {outcome}: {reason}")
+    verdict = RunVerdict.from_analyses(store, run, stored)
+    if not verdict.passes:
+        raise RefusedError(
+            f"sensor {serial} is not certified: the verdict of run {run} is {verdict.outcome}: {verdict.reason}"
+        )
     if latest.calibration is None:
         raise RefusedError(
             f"run {run} is not certified: it issued no calibration: {latest.calibration_why}",
             remedy="name another run of the sensor; cbsr-qa runs lists them",
         )
-    return latest, f"{outcome}, {overridden}" if overridden else str(outcome)
+    return latest, verdict.words
 
 
 def _load_calibration(store: Repository, analysis: StoredAnalysis, checked_link: str) -> IssuedCalibration:

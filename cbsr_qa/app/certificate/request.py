@@ -13,6 +13,7 @@ from cbsr_qa.config.tables import validate
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.results.certificate import Customer
+from cbsr_qa.system.words import echo
 
 #: Longest name or address of a customer [characters]: a line or two of the page.
 _LONGEST_CUSTOMER: Final = 120
@@ -51,10 +52,16 @@ class CertificateRequest:
             If the folder is a file.
         """
         for option, text in (("--customer", self.customer.name), ("--customer-address", self.customer.address)):
-            if text != text.strip() or not text.isprintable() or len(text) > _LONGEST_CUSTOMER:
+            hidden = next((character for character in text if not character.isprintable()), "")
+            finding = f"{hidden!a} cannot be printed" if hidden else ""
+            if not finding and text != text.strip():
+                finding = "it begins or ends with a blank"
+            if len(text) > _LONGEST_CUSTOMER:
+                finding = f"it has {len(text)} characters"
+            if finding:
                 raise ConfigError(
-                    f"{option} cannot be printed in one line",
-                    remedy=f"allowed: {_LONGEST_CUSTOMER} characters, no line breaks, no blanks at the ends",
+                    f"{option} {echo(text, 24)} cannot be used: {finding}",
+                    remedy=f"allowed: one line of up to {_LONGEST_CUSTOMER} characters",
                 )
         if bool(self.replaces) is not bool(self.why.strip()):
             raise ConfigError(

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.certificate.files import SIGNATURE
+from cbsr_qa.app.certificate.verdict import RunVerdict
 from cbsr_qa.calibration.file.certified import (
     CertificateSeal,
+    check_list,
     check_sealed,
     find_clock_problem,
     read_seal,
@@ -40,6 +42,10 @@ _NOT_LOOKED_UP: Final = (
     "not looked up in the database of the laboratory: whether it was replaced or revoked, or its run altered, is not"
     " known"
 )
+_ONLY_LISTED: Final = (
+    "not looked up in the database of the laboratory: what was replaced or revoked after the list was signed, on"
+    " {day}, is not known"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -55,6 +61,7 @@ class VerifiedCertificate:
     recorded : whether the database has this certificate, and its run with every frame is as it was stored; rows that
         were removed from the end of a run together with their links are not noticed.
     valid_until : None if no validity is stated, or nothing is known of it.
+    list_of : day on which the list of withdrawn certificates was signed; None without one that counts.
     """
 
     file: Path
@@ -65,6 +72,7 @@ class VerifiedCertificate:
     pinned: bool
     recorded: bool
     valid_until: str | None
+    list_of: str | None
 
 
 def verify_certificate(
@@ -84,7 +92,7 @@ def verify_certificate(
     ----------
     public_key : PEM file with the key that must have signed it; None for any.
     signature : signature file; by default beside the file.
-    withdrawn : list of withdrawn certificates, signed with the same key.
+    withdrawn : list of withdrawn certificates, signed with the same key as the certificate.
     database : URL or path; by default the usual one, if it exists.
     today : day on which it must be valid; None for the computer's (UTC).
 
@@ -105,7 +113,8 @@ def verify_certificate(
     whys += [*check.find_digest_problems(hashlib.sha256(data).hexdigest()), *check.find_validity_problems()]
     whys += check.find_listed_problems(withdrawn)
     warnings = [_NOT_PINNED] if check.signed_by and public_key is None and check.record is None else []
-    warnings += [_NOT_LOOKED_UP] if check.record is None and withdrawn is None else []
+    if not check.looked_up:
+        warnings.append(_NOT_LOOKED_UP if check.list_of is None else _ONLY_LISTED.format(day=check.list_of))
     return _answer(check, "; ".join(dict.fromkeys(whys)), warnings)
 
 
@@ -118,6 +127,8 @@ class _Check:
         self.seal: CertificateSeal | None = None
         self.record: StoredCertificate | None = None
         self.signed_by: str | None = None
+        self.looked_up = False
+        self.list_of: str | None = None
 
     def read_number(self, data: bytes) -> None:
         found = _NUMBER.search(data)
@@ -149,13 +160,15 @@ class _Check:
             return
         with store:
             try:
-                self.record = None if self.number is None else store.certificates.find(self.number)
+                self.looked_up = self.number is not None
+                self.record = store.certificates.find(self.number) if self.number is not None else None
                 if self.record is not None:
                     yield from _find_run_problems(store, self.record)
             except StoreError as error:
                 self.record = None
                 yield error.reason
                 return
+            self.looked_up = self.record is not None
             if self.record is None and (database is not None or self.public_key is None):
                 unknown = f"{store.shown} has no certificate {self.number or 'of this file'}"
                 yield unknown if self.public_key else f"{unknown}{_OR_PIN}"
@@ -185,9 +198,10 @@ class _Check:
             return []
         try:
             listed = read_withdrawn(withdrawn)
-            check_sealed(withdrawn, listed, self.public_key)
+            check_list(withdrawn, listed, self.seal, self.public_key, self.today)
         except CalibrationError as error:
             return [error.reason]
+        self.list_of = listed.signed_at[:10]
         entry = listed.find(self.number, "")
         return [] if entry is None else [f"certificate {self.number} was {entry.words}"]
 
@@ -199,11 +213,15 @@ class _Check:
 
 
 def _find_run_problems(store: Repository, record: StoredCertificate) -> Iterator[str]:
-    """Read the run of a certificate with every frame, and its calibration. StoreError if they were altered."""
+    """Yield why a run is no longer one to certify. StoreError if it, a frame or its calibration was altered."""
     chain = store.runs.load(record.issued.run).chain
     store.calibrations.load_file(record.issued.calibration)
+    run = record.issued.run
     if not chain.chained:
-        yield f"run {record.issued.run}: {chain.words}"
+        yield f"run {run}: {chain.words}"
+    verdict = RunVerdict.from_analyses(store, run, store.analyses.load(run))
+    if not verdict.passes:
+        yield f"the verdict of its run is {verdict.outcome} now: {verdict.reason}"
 
 
 def _answer(check: _Check, why: str, warnings: list[str]) -> CommandOutcome[VerifiedCertificate]:
@@ -216,9 +234,11 @@ def _answer(check: _Check, why: str, warnings: list[str]) -> CommandOutcome[Veri
         pinned=check.signed_by is not None and check.public_key is not None,
         recorded=check.record is not None,
         valid_until=check.valid_until,
+        list_of=check.list_of,
     )
     facts = [("Number", verified.number or "none stated"), ("Signed by", verified.signed_by or "nobody")]
     facts += [("Valid until", verified.valid_until or "not stated")]
+    facts += [] if verified.list_of is None else [("List of", verified.list_of)]
     outcome = answer(verified, f"{check.path} is valid", "", facts, warnings=warnings)
     if not why:
         return outcome

@@ -198,28 +198,57 @@ def check_certified(
     RefusedError
         If the key cannot be used.
     """
-    number = ""
+    seal = None
     if certificate is not None:
         seal = read_seal(Path(certificate))
         check_sealed(Path(certificate), seal, public_key)
-        number = seal.number
-        _check_clock(f"certificate {number}", seal.signed_at, today)
+        _check_clock(f"certificate {seal.number}", seal.signed_at, today)
         if seal.calibration_digest != digest:
             raise CalibrationError(
-                f"certificate {number} is of another calibration, with SHA-256 {seal.calibration_digest}"
+                f"certificate {seal.number} is of another calibration, with SHA-256 {seal.calibration_digest}",
+                remedy="name the signature file of the certificate of this calibration",
             )
         if seal.valid_until is not None and date.fromisoformat(seal.valid_until) < today:
             raise CalibrationError(
-                f"certificate {number} lapsed: it was valid until {seal.valid_until}",
+                f"certificate {seal.number} lapsed: it was valid until {seal.valid_until}",
                 remedy="calibrate the sensor again",
             )
     if withdrawn is not None:
         listed = read_withdrawn(Path(withdrawn))
-        check_sealed(Path(withdrawn), listed, public_key)
-        _check_clock(str(withdrawn), listed.signed_at, today)
-        entry = listed.find(number, digest)
+        check_list(Path(withdrawn), listed, seal, public_key, today)
+        entry = listed.find("" if seal is None else seal.number, digest)
         if entry is not None:
-            raise CalibrationError(f"certificate {entry.number} of this calibration was {entry.words}")
+            raise CalibrationError(
+                f"certificate {entry.number} of this calibration was {entry.words}",
+                remedy="ask the laboratory for the certificate that replaces it, or calibrate the sensor again",
+            )
+
+
+def check_list(
+    path: Path, listed: WithdrawnList, seal: CertificateSeal | None, key: str | Path | None, today: date
+) -> None:
+    """Check that a list of withdrawn certificates may speak of one: signed with the same key, and not after today.
+
+    Parameters
+    ----------
+    seal : signature of the certificate; None if there is none.
+    key : PEM file with the public key that must have signed the list; None for that of the certificate, or any.
+
+    Raises
+    ------
+    CalibrationError
+        If it is not signed, was changed, was signed by another key, or is of a later day.
+    RefusedError
+        If the key cannot be used.
+    """
+    check_sealed(path, listed, key)
+    if seal is not None and listed.public_key != seal.public_key:
+        raise CalibrationError(
+            f"{path}: signed by key {fingerprint(listed.public_key)}, the certificate by key"
+            f" {fingerprint(seal.public_key)}",
+            remedy="use the list of the laboratory that signed the certificate",
+        )
+    _check_clock(str(path), listed.signed_at, today)
 
 
 def _check_clock(name: str, signed_at: str, today: date) -> None:

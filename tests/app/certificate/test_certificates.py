@@ -5,7 +5,7 @@ import re
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from datetime import date
+from datetime import UTC, date, datetime
 from types import SimpleNamespace
 
 import pytest
@@ -247,6 +247,43 @@ def test_a_revoked_certificate_is_named_by_database_list_and_runtime(place, caps
 
 
 @REST
+def test_a_verdict_that_is_overridden_later_is_named(place, capsys):
+    made = place.certify("S-1", "--to", "out")
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+    words = ["verdict", "override", run, "--by", "Bob", "--why", "scratched", "--json", *place.at]
+    assert run_guarded([*words, "--outcome", "fail"]) == 0
+    assert json.loads(capsys.readouterr().out)["standing_certificates"] == [made["number"]]
+    why = place.certify("verify", made["dcc"], code=1)["why"]
+    assert why == "the verdict of its run is fail now: overridden by Bob: scratched"
+    assert run_guarded([*words, "--outcome", "pass"]) == 0
+    capsys.readouterr()
+    place.certify("verify", made["dcc"])
+
+
+@REST
+def test_a_list_speaks_of_certificates_of_its_own_key_until_its_day(place, monkeypatch, capsys):
+    assert run_guarded(["report", "S-1", *place.at]) == 0
+    capsys.readouterr()
+    for name in ("a.key", "b.key"):
+        new_key(place.folder / name)
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    for name in ("a", "b"):
+        place.certify("withdrawn", "--to", f"{name}.json", "--key", f"{name}.key")
+    monkeypatch.setenv("CBSR_QA_VAR", str(place.folder / "elsewhere"))
+    path, seal = place.folder / made["dcc"], place.folder / "out" / f"{made['number']}.signature.json"
+    listed = verify_certificate(path, withdrawn=place.folder / "a.json")
+    assert (listed.result.valid, listed.result.list_of) == (True, f"{datetime.now(UTC):%Y-%m-%d}")
+    assert any("after the list was signed" in warning for warning in listed.page.warnings)
+    assert verify_certificate(path).result.list_of is None
+    other = verify_certificate(path, withdrawn=place.folder / "b.json").result
+    assert "the certificate by key" in other.why
+    (calibration,) = (place.folder / "var" / "calibrations").glob("*.h5")
+    with pytest.raises(CalibrationError, match="the certificate by key"):
+        qa.load_calibration(calibration, certificate=seal, withdrawn=place.folder / "b.json")
+
+
+@REST
 def test_a_revoked_certificate_is_followed_by_one_that_names_it_with_both_facts(place):
     first = place.certify("S-1", "--to", "out")
     place.certify("revoke", first["number"], "--reason", "wrong customer", "--by", "Zoë")
@@ -293,7 +330,7 @@ REFUSED = {
     "a broken chain": ("update loads set x_mm = x_mm + 1", ("S-1", "--to", "out"), "loads .* was changed"),
     "a changed frame": ("update frame_blocks set voltages = zeroblob(9)", ("S-1", "--to", "out"), "frame"),
     "no chain": ("update runs set chain = null", ("S-1", "--to", "out"), "states no chain"),
-    "no customer's name": (None, ("S-1", "--to", "out", "--customer", "a\nb"), "cannot be printed in one line"),
+    "no customer's name": (None, ("S-1", "--to", "out", "--customer", "a\nb"), "n' cannot be printed"),
     "no reason": (None, ("S-1", "--to", "out", "--replaces", "X"), "--replaces and --reason are given together"),
     "nothing to replace": (
         None,
