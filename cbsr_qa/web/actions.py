@@ -163,7 +163,7 @@ class Actions:
     async def confirm(self, station: str, form: dict[str, str]) -> Response:
         """Take an operator's word that the bench is safe after an emergency stop or a fault."""
         look = self._line.stations[station].look
-        by = validate_operator(form.get("operator", ""))
+        by = validate_operator(form.get("by", ""))
         if not by:
             raise RefusedError(text("confirm.no_name"))
         if look is None or look.run != form.get("run"):

@@ -30,11 +30,11 @@ function put([id, html, key]) {
   const typed = fields.filter((one) => one.value !== one.defaultValue);
   const focused = place.contains(document.activeElement) ? document.activeElement.id : "";
   place.innerHTML = html;
+  prepare(place);
   for (const one of typed) {
     const field = document.getElementById(one.id);
     if (field && one.form?.action === field.form?.action) field.value = one.value;
   }
-  prepare(place);
   if (id === "state" && key) settle();
   const first = place.querySelector("[autofocus]:not([popover] *)");
   const before = focused && document.getElementById(focused);
@@ -59,9 +59,32 @@ document.addEventListener("toggle", (event) => {
   for (const mark of document.querySelectorAll("[data-mark]")) mark.classList.toggle("chosen", places.includes(mark.dataset.mark));
 }, true);
 
+// Who works at a station, as it was stated last at this browser, with the latest run of the station then: once another
+// run has begun, its operator counts.
+const nameKey = (form) => `cbsr-qa operator at ${new URL(form.action).pathname.split("/")[2]}`;
+const readName = (form) => JSON.parse(localStorage.getItem(nameKey(form)) ?? '["", ""]');
+function keepName(form, name) {
+  const run = document.getElementById("operator")?.dataset.run ?? form.elements.run?.value ?? "";
+  localStorage.setItem(nameKey(form), JSON.stringify([run, name]));
+}
+function showName(place) {
+  const field = place.querySelector("#operator");
+  if (!field || !localStorage.getItem(nameKey(field.form))) return;
+  const [run, name] = readName(field.form);
+  if (run === field.dataset.run) field.value = name;
+  else localStorage.removeItem(nameKey(field.form));
+}
+// A name that was typed is kept even if the page is left in the middle of it.
+addEventListener("pagehide", () => {
+  const field = document.getElementById("operator");
+  if (field?.matches(":focus")) keepName(field.form, field.value);
+});
+addEventListener("storage", () => { if (document.activeElement?.id !== "operator") showName(document); });
+
 // What the browser remembers: who works here, and which details are open.
 function prepare(place) {
-  for (const field of place.querySelectorAll("[data-me]")) field.value ||= localStorage.getItem("cbsr-qa operator") ?? "";
+  showName(place);
+  for (const field of place.querySelectorAll("[data-me]")) field.value = readName(field.form)[1];
   for (const details of place.querySelectorAll("[data-kept]")) {
     details.open = localStorage.getItem(`cbsr-qa ${details.dataset.kept}`) === "open";
     details.addEventListener("toggle", () => {
@@ -103,6 +126,7 @@ function take({ parts = [], picture = "", words = "", passes = false, refused = 
   for (const [id, value] of Object.entries(fields)) {
     const field = document.getElementById(id);
     if (field && !(id === "serial" && isHalfTyped())) field.value = value;
+    if (field && id === "operator") keepName(field.form, value);
   }
   if (fields.serial === "" && !isTyping()) document.getElementById("serial")?.focus();
   if (parts.some(([id]) => id === "state")) hear(document.querySelector("[data-cue]")?.dataset.cue);
@@ -185,6 +209,9 @@ document.addEventListener("input", (event) => {
   clearTimeout(rechecking);
   rechecking = setTimeout(checkAgain, 700);
 });
+document.addEventListener("change", (event) => {
+  if (event.target.id === "operator") keepName(event.target.form, event.target.value);
+});
 document.addEventListener("change", (event) => { if (rechecking && isStated(event.target)) checkAgain(); });
 
 // A page of a sensor leads here to test it again: as if it had been scanned.
@@ -213,8 +240,8 @@ document.addEventListener("submit", async (event) => {
   tell("");
   document.querySelector(":popover-open")?.hidePopover();
   const fields = new URLSearchParams(new FormData(form));
-  if (fields.get("operator")) localStorage.setItem("cbsr-qa operator", fields.get("operator"));
-  if (!fields.has("operator")) fields.set("by", localStorage.getItem("cbsr-qa operator") ?? "");
+  if (fields.has("operator")) keepName(form, fields.get("operator"));
+  else if (!fields.has("by")) fields.set("by", readName(form)[1]);
   if (latest) {
     clearTimeout(rechecking);
     rechecking = 0;
@@ -289,6 +316,12 @@ document.addEventListener("keydown", (event) => {
     return;
   }
   if (event.key === "Enter") lastKey = 0;
+  const serial = document.getElementById("serial");
+  if (event.key === "Enter" && isStated(active) && active.matches("input") && serial.value === "") {
+    event.preventDefault();
+    serial.focus();
+    return;
+  }
   if (event.key === "Enter" && Date.now() - ignored < 1000) {
     event.preventDefault();
     ignored = 0;
@@ -299,7 +332,6 @@ document.addEventListener("keydown", (event) => {
   const before = lastKey;
   lastKey = Date.now();
   if (active?.matches("input, textarea") || (event.key === " " && lastKey - before > 500)) return;
-  const serial = document.getElementById("serial");
   if (serial) {
     serial.value = "";
     serial.focus();

@@ -1,0 +1,124 @@
+"""The form of a station's page in a real browser: who works there, scans into its fields, and changes after a scan.
+
+Nothing is served: the browser's requests are answered here, so that no run and no other test has to be waited for.
+"""
+
+from dataclasses import replace
+from pathlib import Path
+from urllib.parse import parse_qsl, urlsplit
+
+import pytest
+from playwright.sync_api import expect
+from stored_lots import store_run
+
+from cbsr_qa.store.opening import open_store
+from cbsr_qa.web import pages as package
+from cbsr_qa.web.line import Line
+from cbsr_qa.web.pages import Pages
+from cbsr_qa.web.state import Mode, Snapshot
+from cbsr_qa.web.stations import load_stations
+
+_STATIC = Path(package.__file__).parent / "static"
+_KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
+_ADDRESS = "http://line.test"
+
+pytestmark = [pytest.mark.rest, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of the browser's driver
+
+
+class _Stations:
+    """Two stations whose latest run is one of Kim's; keeps what was posted, and answers with what a test sets."""
+
+    def __init__(self, look):
+        self.line = Line(load_stations(["line-1", "line-2"], ["nine-locations"]), None)
+        self.pages, self.posted, self.answers = Pages(self.line), [], {}
+        for name in self.line.stations:
+            self.show(name, Mode.DONE, replace(look, operator="Kim"))
+
+    def show(self, name, mode, look):
+        """Set what the page of a station shows from now on."""
+        snapshot = Snapshot(name, mode, None, look, (), None, None, "", "", "", "", healthy=True)
+        self.line.stations[name].snapshot = snapshot
+        return snapshot
+
+    def answer(self, route):
+        path = urlsplit(route.request.url).path
+        if route.request.method == "POST":
+            self.posted.append((path, dict(parse_qsl(route.request.post_data, keep_blank_values=True))))
+            route.fulfill(json=self.answers.get(path.rpartition("/")[2], {}))
+        elif path.startswith("/static/"):
+            file = _STATIC / Path(path).name
+            route.fulfill(body=file.read_text(), content_type=_KINDS[file.suffix])
+        elif path.endswith("/events"):
+            route.abort()
+        else:
+            station = path.rpartition("/")[2]
+            body = self.pages.station(station, control=True) if station in self.line.stations else "<p>Overview"
+            route.fulfill(body=body, content_type="text/html")
+
+
+@pytest.fixture(scope="module")
+def look(tmp_path_factory):
+    with open_store(f"sqlite:///{tmp_path_factory.mktemp('form') / 'runs.db'}", durable=False) as store:
+        return store.live.find_run(store_run(store, "S-1", ()))
+
+
+@pytest.fixture
+def stations(look):
+    return _Stations(look)
+
+
+@pytest.fixture
+def page(chromium, stations):
+    with chromium.new_context(base_url=_ADDRESS) as context:
+        context.route("**/*", stations.answer)
+        page = context.new_page()
+        page.goto("/stations/line-1")
+        yield page
+
+
+def _posted(page, stations, count):
+    """Wait until as many forms were posted; return them."""
+    while len(stations.posted) < count:
+        page.wait_for_timeout(20)
+    return stations.posted
+
+
+def test_the_name_that_was_typed_last_stays_until_another_run_names_its_operator(page, stations, look):
+    operator = page.locator("#operator")
+    expect(operator).to_have_value("Kim")
+    for name in ("Lee", ""):
+        operator.fill(name)
+        page.goto("/")
+        page.goto("/stations/line-1")
+        expect(operator).to_have_value(name)
+        page.reload()
+        expect(operator).to_have_value(name)
+        page.goto("/stations/line-2")
+        expect(operator).to_have_value("Kim")
+        page.goto("/stations/line-1")
+    stations.show("line-1", Mode.DONE, replace(look, run="another", operator="Ada"))
+    page.reload()
+    expect(operator).to_have_value("Ada")
+
+
+def test_enter_after_the_name_leads_to_the_scan(page, stations):
+    page.locator("#operator").fill("Lee")
+    page.locator("#operator").press("Enter")
+    expect(page.locator("#serial")).to_be_focused()
+    assert stations.posted == []
+
+
+def test_who_confirms_at_one_station_does_nothing_else_there_or_elsewhere(page, stations, look):
+    stations.show("line-1", Mode.UNSAFE, look)
+    page.reload()
+    page.get_by_label("Who confirms").fill("Grace")
+    page.get_by_role("button", name="The bench is safe").click()
+    path, form = _posted(page, stations, 1)[-1]
+    assert (path, form["by"]) == ("/stations/line-1/confirm", "Grace")
+    stations.show("line-1", Mode.STARTING, look)
+    stations.show("line-2", Mode.STARTING, look)
+    for count, station in enumerate(("line-1", "line-2"), start=2):
+        page.goto(f"/stations/{station}")
+        page.get_by_role("button", name="Cancel the start").click()
+        path, form = _posted(page, stations, count)[-1]
+        assert (path, form["by"]) == (f"/stations/{station}/cancel", "")
