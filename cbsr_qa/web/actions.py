@@ -16,7 +16,7 @@ from cbsr_qa.app.run.control import confirm_bench
 from cbsr_qa.config.serials import validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.web.confirmations import needs_confirmation
-from cbsr_qa.web.gate import check_pin, gate_view, has_pin, read_latest
+from cbsr_qa.web.gate import check_pin, gate_view, has_pin, is_serial, read_latest
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
 from cbsr_qa.web.line import Line
@@ -161,13 +161,21 @@ class Actions:
         return _json_answer(words=text("station.resumed"), passes=True)
 
     async def confirm(self, station: str, form: dict[str, str]) -> Response:
-        """Take an operator's word that the bench is safe after an emergency stop or a fault."""
-        look = self._line.stations[station].look
+        """Take an operator's word that the bench is safe after an emergency stop or a fault.
+
+        A serial number that was scanned into the field of the name is nobody's word.
+        """
+        watch = self._line.stations[station]
+        look = watch.look
         by = validate_operator(form.get("by", ""))
         if not by:
             raise RefusedError(text("confirm.no_name"))
         if look is None or look.run != form.get("run"):
             raise RefusedError(text("problem.no_run"))
+        if all(by != operator.name for operator in watch.served.station.gate.operators) and await run_in_threadpool(
+            is_serial, self._line.database, by, look.run
+        ):
+            raise RefusedError(text("confirm.serial", name=by))
         if needs_confirmation(look):
             await run_in_threadpool(confirm_bench, look.run, look.session_at, station, by)
             LOG.info("%s: %s confirmed that the bench is safe after run %s", station, by, look.run)

@@ -1,14 +1,16 @@
 """Answers of the gate on a sensor before its run, as the page shows them."""
 
-from contextlib import nullcontext
+from contextlib import nullcontext, suppress
 from dataclasses import dataclass
 
 from cbsr_qa.app.gate.people import asks_pin, is_pin_of
 from cbsr_qa.app.run.preview import preview_gate
 from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.config.loader import load_station
+from cbsr_qa.config.merging import restore
 from cbsr_qa.config.paths import database_url
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.config.serials import fits_pattern
+from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
@@ -103,6 +105,20 @@ def read_latest(database: str | None, serial: str) -> RunLook | None:
     """Return the latest run of a sensor with any recipe; None before its first. RefusedError if it cannot be read."""
     with open_existing(database_url(database)) or nullcontext() as store:
         return None if store is None else store.live.find_latest_of_sensor(serial)
+
+
+def is_serial(database: str | None, name: str, run: str) -> bool:
+    """Whether a name is a serial number: a stored one, or one that fits the pattern of a run's sensor type.
+
+    A name without digits does not fit, whatever the pattern allows: it is that of a person.
+    """
+    with open_existing(database_url(database)) or nullcontext() as store:
+        if store is None or store.live.find_latest_of_sensor(name) is not None:
+            return store is not None
+        with suppress(CbsrError):  # a run that cannot be read must not keep anybody from a confirmation
+            pattern = restore(store.runs.read_configuration(run)).serial_pattern
+            return bool(pattern) and any(map(str.isdigit, name)) and fits_pattern(pattern, name)
+    return False
 
 
 def has_pin(served: ServedStation, operator: str) -> bool:

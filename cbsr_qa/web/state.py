@@ -111,6 +111,7 @@ class Snapshot:
     trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
     health, healthy : state of the station in words, and whether it is in order.
     drawn : sheet and places of the latest run, if a limit of a place decided its outcome.
+    confirmed_by : who said that the bench is safe after the latest run; empty for nobody.
     """
 
     station: str
@@ -126,6 +127,7 @@ class Snapshot:
     health: str
     healthy: bool
     drawn: DrawnPlaces | None = None
+    confirmed_by: str = ""
 
     @property
     def serial(self) -> str:

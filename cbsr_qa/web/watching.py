@@ -17,7 +17,7 @@ from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.runs.live import ChangeNotice, RunLook
 from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.channel import ChannelClient
-from cbsr_qa.web.confirmations import needs_confirmation
+from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.live_run import DrawnPlaces, LiveRun
 from cbsr_qa.web.processes import Started, last_start
@@ -141,6 +141,7 @@ class StationWatch:
             health=self._health,
             healthy=self._healthy,
             drawn=self._drawn,
+            confirmed_by=name_confirmer(self.look) if self.look is not None and mode is Mode.DONE else "",
         )
         return True
 

@@ -16,8 +16,9 @@ from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
+from cbsr_qa.web import gate
 from cbsr_qa.web.actions import Actions
-from cbsr_qa.web.gate import gate_view
+from cbsr_qa.web.gate import gate_view, is_serial
 from cbsr_qa.web.outcomes import earlier_words
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode
@@ -109,6 +110,17 @@ def test_a_sensor_keeps_the_parts_and_the_batch_of_its_latest_run(served, databa
     assert removed["parts"][0] == ["gate", "S-1:  "]
     other = _check(actions, serial="S-2", checked="S-1", parts="board=9")
     assert other["parts"][0] == ["gate", "S-2:  "]
+
+
+@pytest.mark.parametrize(
+    ("name", "found"), [("S-1", True), ("S-77", True), ("ADA", True), ("Ada", False), ("Kim 2", False)]
+)
+def test_a_serial_number_is_stored_or_fits_the_pattern_and_has_digits(served, database, monkeypatch, name, found):
+    monkeypatch.setattr(gate, "restore", lambda _: SimpleNamespace(serial_pattern="[A-Za-z]+|S-[0-9]+"))
+    with open_store(f"sqlite:///{database}") as store:
+        run = store_run(store, "S-1", _MEASURED)
+        store_run(store, "ADA", _MEASURED)
+    assert is_serial(database, name, run) is found
 
 
 def test_a_sensor_that_another_station_tests_is_refused(served, database):

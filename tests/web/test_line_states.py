@@ -14,7 +14,7 @@ from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
-from cbsr_qa.web.confirmations import needs_confirmation
+from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
 from cbsr_qa.web.pages import Pages, minutes_left, progress_words, size_of
@@ -128,6 +128,7 @@ def test_after_an_emergency_stop_or_a_fault_somebody_confirms_the_bench_once_for
     assert mode is (Mode.DONE if kind == "aborted" else Mode.UNSAFE)
     confirm_bench(look.run, look.session_at, look.station, "Ada")
     assert not needs_confirmation(look)
+    assert name_confirmer(look) == "Ada"
     later = replace(look, session_at=look.session_at + timedelta(hours=1))
     assert needs_confirmation(later) is (kind != "aborted")
 

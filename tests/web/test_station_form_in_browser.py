@@ -122,3 +122,14 @@ def test_who_confirms_at_one_station_does_nothing_else_there_or_elsewhere(page, 
         page.get_by_role("button", name="Cancel the start").click()
         path, form = _posted(page, stations, count)[-1]
         assert (path, form["by"]) == (f"/stations/{station}/cancel", "")
+
+
+def test_enter_in_the_name_of_who_confirms_confirms_nothing(page, stations, look):
+    stations.show("line-1", Mode.UNSAFE, look)
+    page.reload()
+    page.get_by_label("Who confirms").fill("Grace")
+    page.get_by_label("Who confirms").press("Enter")
+    page.wait_for_timeout(100)
+    assert stations.posted == []
+    page.get_by_role("button", name="The bench is safe").press("Enter")
+    assert _posted(page, stations, 1)[0][1]["by"] == "Grace"

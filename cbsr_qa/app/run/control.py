@@ -150,6 +150,15 @@ def is_confirmed(run: str, session_at: datetime) -> bool:
     return _confirmation(run, session_at).exists()
 
 
+def read_confirmer(run: str, session_at: datetime, station: str) -> str:
+    """Return who has confirmed that the bench is safe after a session of a run; empty for nobody, or if unknown."""
+    try:
+        line = _confirmation(run, session_at).read_text(encoding="utf-8")
+    except (OSError, ValueError):
+        return ""
+    return line.removeprefix(f"{station}: ").rpartition(", ")[0]
+
+
 def confirm_bench(run: str, session_at: datetime, station: str, by: str) -> None:
     """Store that the bench is safe after a session of a run, and who says so. ConfigError if that is impossible."""
     file = _confirmation(run, session_at)

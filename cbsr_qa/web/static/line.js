@@ -316,6 +316,10 @@ document.addEventListener("keydown", (event) => {
     return;
   }
   if (event.key === "Enter") lastKey = 0;
+  if (event.key === "Enter" && active?.id === "confirm-by") {  // a scanner's Enter is nobody's word: a press is
+    event.preventDefault();
+    return;
+  }
   const serial = document.getElementById("serial");
   if (event.key === "Enter" && isStated(active) && active.matches("input") && serial.value === "") {
     event.preventDefault();
