@@ -86,7 +86,7 @@ class Actions:
         start_form = StartForm.from_form(watch.served, {**form, **fields})
         self._refuse_elsewhere(station, start_form.serial)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
-        parts = [["gate", self._pages.gate(station, start_form, view)]]
+        parts = [["gate", self._pages.gate(station, start_form, view)], ["refused", ""]]
         # A run that was cut off stays on the page, with its warning, until it is resumed or another run begins.
         snapshot = watch.snapshot
         if snapshot is None or snapshot.mode not in (Mode.INTERRUPTED, Mode.UNSAFE):

@@ -86,8 +86,8 @@ def cue(snapshot: Snapshot | None) -> str:
         return "attention trouble"
     if look is None or mode not in (Mode.CONCLUDING, Mode.DONE, Mode.UNSAFE, Mode.INTERRUPTED):
         return ""
-    if mode is Mode.CONCLUDING:
-        return f"end {look.run} {look.session_at}"
+    if mode is Mode.CONCLUDING or snapshot.not_started:
+        return f"end {look.run} {look.session_at} {snapshot.not_started}"
     kind = verdict_kind(look)
     sounds = {"pass": "pass", "marginal": "pass", "fail": "fail", "aborted": "end"}
     return f"{sounds.get(kind, 'attention')} {look.run} {look.session_at}"

@@ -294,7 +294,7 @@ class Pages:
         snapshot = names["s"]
         if snapshot is None or snapshot.mode.runs:
             return []
-        return [[part, self.fragment(part, **names)] for part in ("state", "verdict")]
+        return [[part, self.fragment(part, **names)] for part in ("state", "refused", "verdict")]
 
     def overview_parts(self) -> list[Part]:
         """Return the parts of the overview."""
@@ -356,7 +356,7 @@ def _layout(snapshot: Snapshot | None) -> str:
     if snapshot.mode.runs:
         return str(snapshot.mode)
     look = snapshot.look
-    return f"idle {snapshot.mode} {look}"
+    return f"idle {snapshot.mode} {look} {snapshot.not_started}"
 
 
 def _trouble(snapshot: Snapshot | None) -> str:

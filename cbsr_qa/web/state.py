@@ -107,6 +107,7 @@ class Snapshot:
     failed : limits that decided the latest run's outcome, unless it passed; worst first.
     failed_before : the run of its sensor and recipe before it, if both failed.
     live : view of the run in progress; None without one.
+    starting : sensor of the run that was started last; empty if none was, or by an earlier server.
     refused : reason why the run that was started last never began; empty otherwise.
     trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
     health, healthy : state of the station in words, and whether it is in order.
@@ -130,13 +131,24 @@ class Snapshot:
     confirmed_by: str = ""
 
     @property
+    def not_started(self) -> str:
+        """The sensor at the station whose run never began; empty for none."""
+        return self.starting if self.refused and self.mode in (Mode.READY, Mode.DONE) else ""
+
+    @property
     def serial(self) -> str:
         """The sensor at the station; empty for none."""
         if self.control is not None:
             return self.control.serial
-        if self.mode is Mode.STARTING:
+        if self.mode is Mode.STARTING or self.not_started:
             return self.starting
         return "" if self.look is None else self.look.serial
+
+    @property
+    def shows_look(self) -> bool:
+        """Whether the latest run is shown: once another sensor lies there, only if it can be resumed."""
+        is_of_another = self.look is not None and self.not_started not in ("", self.look.serial)
+        return self.look is not None and (self.resumable or not is_of_another)
 
     @property
     def resumable(self) -> bool:

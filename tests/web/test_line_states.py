@@ -207,3 +207,20 @@ def test_every_failed_limit_is_shown_with_its_code_and_what_to_do_if_it_has_them
     assert "Drift (L2) is 1 %/min" in shown
     assert [shown.count(f"Overlap (L{place}) is low") for place in range(6)] == [1] * 6
     assert "and 4 more" in shown
+
+
+@pytest.mark.parametrize(("end", "is_shown"), [(EndReason.FINISHED, False), (EndReason.ABORTED, True)])
+def test_after_a_start_that_came_to_nothing_no_other_sensors_verdict_is_shown(store, tmp_path, end, is_shown):
+    """Only a run that can be resumed stays, and beside what says that the other did not start."""
+    pages = Pages(Line((), str(tmp_path / "runs.db")))
+    run = _ended(store, end) if end is EndReason.ABORTED else store_run(store, "S-1", (), verdict=_PASSED)
+    look = store.live.find_run(run)
+    names = {"name": "bench", "base": "", "asks_operator": False}
+    for serial, verdict in (("S-114", is_shown), (look.serial, True)):
+        ended = replace(_snapshot(look, Mode.DONE), starting=serial, refused="Its start was cancelled by Ada.")
+        state, card, shown = (pages.fragment(part, s=ended, **names) for part in ("state", "card", "verdict"))
+        assert ("Did not start" in state, f">{serial}</p>" in state, "Passed" in state) == (True, True, False)
+        assert ("Did not start" in card, "Passed" in card) == (True, False)
+        assert ("What to do" in shown) is verdict
+        assert f"The run of {serial} did not start" in pages.fragment("refused", s=ended)
+    assert "Did not start" not in pages.fragment("state", s=replace(ended, refused=""), **names)
