@@ -13,16 +13,16 @@ from starlette.concurrency import run_in_threadpool
 from starlette.responses import JSONResponse, Response
 
 from cbsr_qa.app.run.control import confirm_bench
-from cbsr_qa.config.serials import validate_operator, validate_reason, validate_serial
+from cbsr_qa.config.serials import LONGEST, validate_operator, validate_reason, validate_serial
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.web.confirmations import needs_confirmation
-from cbsr_qa.web.gate import check_pin, gate_view, has_pin, is_serial, read_latest
+from cbsr_qa.web.gate import GateView, check_pin, gate_view, has_pin, is_serial, read_latest
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.guesses import Guesses, TooManyGuessesError
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.processes import start_run
-from cbsr_qa.web.start import StartForm, resume_arguments, split_parts
+from cbsr_qa.web.start import StartForm, find_wrong_field, resume_arguments, split_parts
 from cbsr_qa.web.state import Mode
 from cbsr_qa.web.texts import refusal_words, text
 
@@ -41,7 +41,7 @@ class Actions:
     """Answers to forms, in JSON.
 
     ``parts`` of the page to replace, ``fields`` to fill in, and ``words`` to say; ``passes``: they go once the
-    station shows another state; ``refused``: nothing was done.
+    station shows another state; ``refused``: nothing was done; ``wrong``: why a field cannot be used, by its name.
     """
 
     def __init__(self, line: Line, pages: Pages) -> None:
@@ -87,13 +87,34 @@ class Actions:
         self._refuse_elsewhere(station, start_form.serial)
         view = await run_in_threadpool(gate_view, watch.served, start_form, self._line.database)
         parts = [["gate", self._pages.gate(station, start_form, view)], ["refused", ""]]
-        # A run that was cut off stays on the page, with its warning, until it is resumed or another run begins.
-        snapshot = watch.snapshot
-        if snapshot is None or snapshot.mode not in (Mode.INTERRUPTED, Mode.UNSAFE):
-            parts.append(["state", self._pages.render_scan(station, start_form, view)])
-            if snapshot is None or not snapshot.resumable:
-                parts.append(["verdict", ""])
+        parts += self._scan_parts(station, start_form.serial, view)
         return _json_answer(parts=parts, fields=fields, words=words)
+
+    def _scan_parts(self, station: str, serial: str, view: GateView | None) -> list[list[str]]:
+        """Return the parts that show a scanned sensor in place of the latest run.
+
+        A run that was cut off stays on the page, with its warning, until it is resumed or another run begins.
+        """
+        snapshot = self._line.stations[station].snapshot
+        if snapshot is not None and (snapshot.mode.runs or snapshot.mode in (Mode.INTERRUPTED, Mode.UNSAFE)):
+            return []
+        state = ["state", self._pages.render_scan(station, serial, view)]
+        return [state] if snapshot is not None and snapshot.resumable else [state, ["verdict", ""]]
+
+    def _refuse_sensor(self, station: str, form: dict[str, str], error: CbsrError) -> Response:
+        """Say why a sensor cannot be tested: at the field that is wrong, if one is.
+
+        A part that cannot be used changes nothing for the sensor that is shown.
+        """
+        scanned, words = form["serial"][:LONGEST], refusal_words(error)
+        if not scanned or "=" in scanned:
+            return _json_answer(words=words, fields={"serial": form.get("checked", "")}, refused=True)
+        wrong = find_wrong_field(form)
+        gate = self._pages.misstated(station, scanned, wrong) if wrong else ""
+        parts = [["gate", gate], ["refused", ""], *self._scan_parts(station, scanned, None)]
+        if wrong:
+            return _json_answer(parts=parts, wrong={wrong: words})
+        return _json_answer(parts=parts, words=words, refused=True)
 
     def _recall_sensor(self, form: dict[str, str]) -> dict[str, str]:
         """Return the fields of parts and batch of a sensor that is scanned anew: as stated, else as in its last run.
@@ -244,6 +265,8 @@ class Actions:
                 )
             except CbsrError as error:
                 LOG.warning("%s: %s", station, error.reason)
+                if "serial" in form:
+                    return self._refuse_sensor(station, form, error)
                 parts = [["gate", ""], *self._pages.idle_parts(station)]
                 return _json_answer(words=refusal_words(error), parts=parts, refused=True)
 

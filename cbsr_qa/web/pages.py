@@ -283,10 +283,14 @@ class Pages:
         """Render the answers of the gate on a sensor before its run."""
         return self.fragment("gate", base=_base(station), request=wanted, view=view)
 
-    def render_scan(self, station: str, wanted: StartForm, view: GateView) -> str:
-        """Render the state of a station at which a sensor was scanned."""
-        kind = "refused" if not view.may else "again" if view.asks_again else "may"
-        return self.fragment("scanned", name=station, serial=wanted.serial, kind=kind)
+    def misstated(self, station: str, serial: str, field: str) -> str:
+        """Render that a sensor was scanned with a field of the form that is wrong."""
+        return self.fragment("misstated", base=_base(station), serial=serial, field=text(f"station.{field}"))
+
+    def render_scan(self, station: str, serial: str, view: GateView | None) -> str:
+        """Render the state of a station at which a sensor was scanned; None: the gate could not be asked."""
+        kind = "refused" if view is None or not view.may else "again" if view.asks_again else "may"
+        return self.fragment("scanned", name=station, serial=serial, kind=kind)
 
     def idle_parts(self, name: str) -> list[list[str]]:
         """Return what a scan has replaced on the page of a station, as it was before."""

@@ -6,6 +6,7 @@ from typing import Self
 
 from cbsr_qa.app.gate.request import Override
 from cbsr_qa.config.serials import read_parts, validate_batch, validate_operator, validate_serial
+from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
@@ -81,6 +82,17 @@ class StartForm:
 def split_parts(text: str) -> tuple[SensorPart, ...]:
     """Return the parts of a field, separated by commas. ConfigError if one cannot be used, or is given twice."""
     return read_parts([part.strip() for part in text.split(",") if part.strip()])
+
+
+def find_wrong_field(form: Mapping[str, str]) -> str:
+    """Return the field of a form that cannot be used; empty if none, or if the serial number cannot."""
+    checks = {"serial": validate_serial, "operator": validate_operator, "batch": validate_batch, "parts": split_parts}
+    for field_name, check in checks.items():
+        try:
+            check(form.get(field_name, ""))
+        except ConfigError:
+            return "" if field_name == "serial" else field_name
+    return ""
 
 
 def resume_arguments(served: ServedStation, run: str, operator: str, database: str | None) -> list[str]:

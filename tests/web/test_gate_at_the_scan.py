@@ -86,7 +86,8 @@ def _actions(served, database, *, elsewhere=None):
         line.stations[name] = SimpleNamespace(served=served, snapshot=snapshot)
     gate = SimpleNamespace(
         gate=lambda station, form, view: f"{form.serial}: {form.batch} {', '.join(map(str, form.parts))}",
-        render_scan=lambda *_: "",
+        render_scan=lambda _, serial, view: f"{serial} may start" if view else f"{serial} cannot start",
+        misstated=lambda _, serial, field: f"{serial}: {field} is wrong",
         idle_parts=lambda _: [["state", "as before"]],
     )
     return Actions(line, gate)
@@ -127,10 +128,30 @@ def test_a_sensor_that_another_station_tests_is_refused(served, database):
     refused = _check(_actions(served, database, elsewhere="S-1"), serial="S-1")
     assert refused == {
         "words": "Sensor S-1 is being tested at line-2 now.",
-        "parts": [["gate", ""], ["state", "as before"]],
+        "parts": [["gate", ""], ["refused", ""], ["state", "S-1 cannot start"], ["verdict", ""]],
         "refused": True,
     }
     assert _check(_actions(served, database, elsewhere="S-1"), serial="S-2")["parts"][0] == ["gate", "S-2:  "]
+
+
+@pytest.mark.parametrize(
+    ("field", "value", "words"), [("parts", "she", "has no ="), ("batch", "b 1", "' '"), ("operator", "Lee;", "';'")]
+)
+@pytest.mark.parametrize("checked", ["", "S-1"])
+def test_a_field_that_is_wrong_says_so_beside_the_sensor_that_was_scanned(
+    served, database, field, value, words, checked
+):
+    answer = _check(_actions(served, database), serial="S-1", checked=checked, **{field: value})
+    assert words in answer.pop("wrong")[field]
+    shown = {"gate": f"S-1: {field} is wrong", "refused": "", "state": "S-1 cannot start", "verdict": ""}
+    assert {key: value for key, value in answer.items() if key != "parts"} == {}
+    assert dict(answer["parts"]) == shown
+
+
+def test_a_part_that_cannot_be_used_leaves_the_sensor_as_it_was(served, database):
+    answer = _check(_actions(served, database), serial="sheet=LOT8", checked="S-1", parts="sheet=LOT7")
+    assert "given twice" in answer["words"]
+    assert ("parts" in answer, answer["fields"]) == (False, {"serial": "S-1"})
 
 
 def test_the_past_of_a_sensor_is_found_by_an_index_among_however_many_runs(database):

@@ -241,7 +241,7 @@ def test_a_badge_names_the_operator_a_part_is_added_and_what_nobody_knows_loses_
 
 
 def test_what_is_changed_after_the_scan_counts(pages):
-    """The sensor is checked again by itself; until then it cannot be started."""
+    """The sensor is checked again once the field is left; until then it cannot be started."""
     page = pages("/stations/bench-1")
     start, facts = page.locator("#gate [action$='/start'] button"), page.locator("#gate .facts").first
     page.locator("#recipe").select_option("five-places")
@@ -251,8 +251,9 @@ def test_what_is_changed_after_the_scan_counts(pages):
     page.locator("#operator").focus()
     page.keyboard.type("Kim")
     expect(start).to_be_disabled()
+    page.keyboard.press("Tab")
     expect(facts).to_contain_text("operator Kim")
-    expect(page.locator("#operator")).to_be_focused()
+    expect(page.locator("#batch")).to_be_focused()
     page.locator("#recipe").select_option("strict")
     expect(facts).to_contain_text("recipe strict · operator Kim")
     page.locator("#serial").focus()

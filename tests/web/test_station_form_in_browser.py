@@ -133,3 +133,30 @@ def test_enter_in_the_name_of_who_confirms_confirms_nothing(page, stations, look
     assert stations.posted == []
     page.get_by_role("button", name="The bench is safe").press("Enter")
     assert _posted(page, stations, 1)[0][1]["by"] == "Grace"
+
+
+def _scanned(stations, serial):
+    """The answer to a check of a sensor with a field that is wrong."""
+    return {"parts": [["gate", stations.pages.misstated("line-1", serial, "parts")], ["verdict", ""]]}
+
+
+def test_a_field_is_checked_when_it_is_left_and_its_error_goes_with_the_next_key(page, stations):
+    stations.answers["check"] = {**_scanned(stations, "S-6"), "wrong": {"parts": "part 'she' has no ="}}
+    page.locator("#serial").fill("S-6")
+    page.locator("#serial").press("Enter")
+    _posted(page, stations, 1)
+    wrong, parts = page.locator("#parts-wrong"), page.locator("#parts")
+    expect(wrong).to_have_text("part 'she' has no =")
+    expect(page.get_by_role("button", name="Start S-6")).to_be_disabled()
+    parts.press_sequentially("sheet", delay=10)
+    expect(wrong).to_be_empty()
+    assert len(stations.posted) == 1
+    stations.answers["check"] = _scanned(stations, "S-6")
+    parts.press_sequentially("=LOT7", delay=10)
+    parts.press("Tab")
+    assert _posted(page, stations, 2)[1][1]["parts"] == "sheet=LOT7"
+    expect(wrong).to_be_empty()
+    parts.press("x")
+    parts.press("Backspace")  # no browser says that this field was changed
+    parts.press("Tab")
+    _posted(page, stations, 3)

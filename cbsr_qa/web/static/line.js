@@ -128,6 +128,7 @@ function take({ parts = [], picture = "", words = "", passes = false, refused = 
     if (field && !(id === "serial" && isHalfTyped())) field.value = value;
     if (field && id === "operator") keepName(field.form, value);
   }
+  if (restated) holdStart();
   if (fields.serial === "" && !isTyping()) document.getElementById("serial")?.focus();
   if (parts.some(([id]) => id === "state")) hear(document.querySelector("[data-cue]")?.dataset.cue);
   if (words && !(passes && asked !== turnOfState)) tell(words, { passes, refused });
@@ -192,12 +193,22 @@ function isHalfTyped() {
 }
 
 // Recipe, operator, batch and parts of the sensor that is shown: if one is changed, the sensor is checked again before
-// it can be started.
+// it can be started, once the field is left: half a word is not wrong yet.
 const shownSerial = () => document.querySelector("#gate [data-serial]")?.dataset.serial ?? "";
 const isStated = (field) => field?.id !== "serial" && field?.form && field.form === document.getElementById("serial")?.form;
-let rechecking = 0;
+let restated = false;
+function holdStart() {
+  for (const button of document.querySelectorAll("#gate form[action$='/start'] button")) button.disabled = true;
+  for (const why of document.querySelectorAll("#gate .restated")) why.hidden = false;
+}
+function showWrong(wrong = {}) {
+  for (const place of document.querySelectorAll(".wrong")) {
+    const name = place.id.replace("-wrong", "");
+    place.textContent = wrong[name] ?? "";
+    document.getElementById(name).toggleAttribute("aria-invalid", name in wrong);
+  }
+}
 function checkAgain() {
-  clearTimeout(rechecking);
   const serial = document.getElementById("serial");
   if (!serial || !shownSerial() || isHalfTyped()) return;
   serial.value = shownSerial();
@@ -205,14 +216,16 @@ function checkAgain() {
 }
 document.addEventListener("input", (event) => {
   if (!isStated(event.target) || !shownSerial()) return;
-  for (const button of document.querySelectorAll("#gate form[action$='/start'] button")) button.disabled = true;
-  clearTimeout(rechecking);
-  rechecking = setTimeout(checkAgain, 700);
+  restated = true;
+  showWrong();
+  holdStart();
 });
 document.addEventListener("change", (event) => {
   if (event.target.id === "operator") keepName(event.target.form, event.target.value);
 });
-document.addEventListener("change", (event) => { if (rechecking && isStated(event.target)) checkAgain(); });
+for (const kind of ["change", "focusout"]) {
+  document.addEventListener(kind, (event) => { if (restated && isStated(event.target)) checkAgain(); });
+}
 
 // A page of a sensor leads here to test it again: as if it had been scanned.
 const asked = new URLSearchParams(location.search);
@@ -243,8 +256,7 @@ document.addEventListener("submit", async (event) => {
   if (fields.has("operator")) keepName(form, fields.get("operator"));
   else if (!fields.has("by")) fields.set("by", readName(form)[1]);
   if (latest) {
-    clearTimeout(rechecking);
-    rechecking = 0;
+    restated = false;
     fields.set("checked", shownSerial());
     [sentSerial, checking, early] = [fields.get("serial"), mine, ""];
     if (document.activeElement?.id === "serial") document.activeElement.select();  // the next scan replaces it
@@ -266,6 +278,7 @@ document.addEventListener("submit", async (event) => {
     const said = answer.headers.get("content-type")?.startsWith("application/json") ? await answer.json() : null;
     if (!said?.passes) showBefore();
     if (said) take(said, asked);
+    if (said && latest) showWrong(said.wrong);
     else tell(await answer.text(), { refused: true });
   } catch {
     lost(true);
