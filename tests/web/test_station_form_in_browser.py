@@ -23,6 +23,16 @@ _KINDS = {".css": "text/css", ".js": "text/javascript", ".svg": "image/svg+xml"}
 _ADDRESS = "http://line.test"
 
 pytestmark = [pytest.mark.rest, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of the browser's driver
+#: Keys of a scanner, all at once: a busy machine may be slow to pass on those of the browser's driver.
+_SCAN = """keys => {
+    const field = document.activeElement;
+    for (const key of [...keys, "Enter"]) {
+        const pressed = new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true});
+        if (!field.dispatchEvent(pressed) || key === "Enter") continue;
+        field.value += key;
+        field.dispatchEvent(new InputEvent("input", {bubbles: true}));
+    }
+}"""
 
 
 class _Stations:
@@ -160,3 +170,33 @@ def test_a_field_is_checked_when_it_is_left_and_its_error_goes_with_the_next_key
     parts.press("Backspace")  # no browser says that this field was changed
     parts.press("Tab")
     _posted(page, stations, 3)
+
+
+@pytest.mark.parametrize("field", ["operator", "batch", "parts"])
+def test_a_scan_into_a_field_for_people_is_a_scan(page, stations, field):
+    place = page.locator(f"#{field}")
+    place.fill("Lee")
+    page.wait_for_timeout(200)  # nobody scans within the same tenth of a second
+    page.evaluate(_SCAN, "S-123")
+    path, form = _posted(page, stations, 1)[0]
+    assert (path, form["serial"], form[field]) == ("/stations/line-1/check", "S-123", "Lee")
+    expect(place).to_have_value("Lee")
+
+
+def test_a_name_that_a_person_types_and_ends_with_enter_is_no_scan(page, stations):
+    page.locator("#operator").fill("")
+    page.locator("#operator").press_sequentially("Grace", delay=120)
+    page.locator("#operator").press("Enter")
+    expect(page.locator("#serial")).to_be_focused()
+    expect(page.locator("#operator")).to_have_value("Grace")
+    assert stations.posted == []
+
+
+def test_a_scan_into_the_name_of_who_confirms_is_ignored(page, stations, look):
+    stations.show("line-1", Mode.UNSAFE, look)
+    page.reload()
+    page.get_by_label("Who confirms").focus()
+    page.evaluate(_SCAN, "S-123")
+    expect(page.locator("#say")).to_contain_text("That scan was ignored")
+    expect(page.get_by_label("Who confirms")).to_have_value("")
+    assert stations.posted == []

@@ -318,6 +318,40 @@ function keepEarly(event) {
   }
 }
 
+// A scanner that types into a field for people scans all the same: its keys come in one burst that ends with Enter, and
+// the field is put back to what it was before.
+const TYPED = "form[data-send] input:not([type=hidden], [type=password], #serial, #answer)";
+const BURST_GAP_MS = 100;
+let burst = null;
+function followBurst({ target, key, timeStamp }) {
+  if (key === "Shift") return;
+  if (key.length !== 1 || !target.matches?.(TYPED)) burst = null;
+  else {
+    if (burst?.field !== target || timeStamp - burst.last > BURST_GAP_MS) {
+      burst = { field: target, before: target.value, since: timeStamp, keys: "" };
+    }
+    burst.keys += key;
+    burst.last = timeStamp;
+  }
+}
+function takeBurst(event) {
+  const { field, before, since, keys } = burst ?? {};
+  if (field !== event.target || keys.length < 3 || event.timeStamp - since > 50 * keys.length) return false;
+  event.preventDefault();
+  burst = null;
+  field.value = before;
+  if (field.id === "operator") keepName(field.form, before);
+  const serial = document.getElementById("serial");
+  if (!serial) {
+    tell(body.dataset.ignored);
+    return true;
+  }
+  serial.value = keys;
+  serial.focus();
+  serial.form.requestSubmit();
+  return true;
+}
+
 // What a scanner types goes to the scan field, unless a text is being typed. Where there is none, during a run, it is
 // ignored, with its Enter: neither may press a button.
 let ignored = 0;
@@ -328,6 +362,8 @@ document.addEventListener("keydown", (event) => {
     keepEarly(event);
     return;
   }
+  if (event.key === "Enter" && takeBurst(event)) return;
+  followBurst(event);
   if (event.key === "Enter") lastKey = 0;
   if (event.key === "Enter" && active?.id === "confirm-by") {  // a scanner's Enter is nobody's word: a press is
     event.preventDefault();
