@@ -11,6 +11,7 @@ import pytest
 from playwright.sync_api import expect
 from stored_lots import store_run
 
+from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web import pages as package
 from cbsr_qa.web.line import Line
@@ -200,3 +201,41 @@ def test_a_scan_into_the_name_of_who_confirms_is_ignored(page, stations, look):
     expect(page.locator("#say")).to_contain_text("That scan was ignored")
     expect(page.get_by_label("Who confirms")).to_have_value("")
     assert stations.posted == []
+
+
+def _aborted(look):
+    return replace(look, serial="S-5", end=EndReason.ABORTED, outcome=None, detail="by Kim, while")
+
+
+def test_only_the_action_of_the_sensor_that_was_scanned_is_marked(page, stations, look):
+    stations.show("line-1", Mode.DONE, _aborted(look))
+    page.reload()
+    resume = page.get_by_role("button", name="Resume the run of S-5")
+    ground = "one => getComputedStyle(one).backgroundColor"
+    assert resume.evaluate(ground) != "rgba(0, 0, 0, 0)"
+    stations.answers["check"] = {"parts": _scanned(stations, "S-6")["parts"][:1]}
+    page.locator("#serial").fill("S-6")
+    page.locator("#serial").press("Enter")
+    expect(page.get_by_role("button", name="Start S-6")).to_be_visible()
+    assert resume.evaluate(ground) == "rgba(0, 0, 0, 0)"
+
+
+@pytest.mark.parametrize(("begun", "words"), [("S-7", "Sensor S-6, which was ready to start here"), ("S-6", "")])
+def test_a_sensor_that_was_ready_does_not_vanish_without_a_word(page, stations, begun, words, look):
+    """Another page started a sensor, or the same one: what a stream sends is put into the page of this one."""
+    page.evaluate("""() => {
+        class Stream extends EventTarget { constructor() { super(); window.stream = this; } close() {} }
+        window.EventSource = Stream;
+        dispatchEvent(new Event("pagehide"));
+        dispatchEvent(new Event("pageshow"));
+    }""")
+    stations.answers["check"] = _scanned(stations, "S-6")
+    page.locator("#serial").fill("S-6")
+    page.locator("#serial").press("Enter")
+    expect(page.get_by_role("button", name="Start S-6")).to_be_visible()
+    snapshot = stations.show("line-1", Mode.STARTING, look)
+    stations.line.stations["line-1"].snapshot = replace(snapshot, starting=begun)
+    parts = [[part.place, part.html, part.key] for part in stations.pages.station_parts("line-1")]
+    page.evaluate("parts => stream.onmessage({data: JSON.stringify({parts})})", parts)
+    expect(page.locator("#state")).to_contain_text(begun)
+    expect(page.locator("#say")).to_contain_text(words) if words else expect(page.locator("#say")).to_be_empty()

@@ -122,7 +122,12 @@ async function show(address) {
 
 function take({ parts = [], picture = "", words = "", passes = false, refused = false, fields = {} }, asked = turnOfState) {
   if (picture) show(picture);  // it is fetched while parts are laid out
+  const ready = shownSerial();
   parts.forEach(put);
+  const begun = document.querySelector("#state .serial")?.textContent;
+  if (ready && !shownSerial() && parts.some(([id, , key]) => id === "body" && key) && begun !== ready) {
+    tell(body.dataset.gone.replace("{}", ready), { refused: true });
+  }
   for (const [id, value] of Object.entries(fields)) {
     const field = document.getElementById(id);
     if (field && !(id === "serial" && isHalfTyped())) field.value = value;
