@@ -239,3 +239,14 @@ def test_a_sensor_that_was_ready_does_not_vanish_without_a_word(page, stations, 
     page.evaluate("parts => stream.onmessage({data: JSON.stringify({parts})})", parts)
     expect(page.locator("#state")).to_contain_text(begun)
     expect(page.locator("#say")).to_contain_text(words) if words else expect(page.locator("#say")).to_be_empty()
+
+
+@pytest.mark.parametrize("width", [768, 1024, 1280, 1920])
+def test_a_field_stands_where_it_was_with_and_without_a_verdict_beside_the_form(page, stations, width):
+    page.set_viewport_size({"width": width, "height": 800})
+    field_ids = ("serial", "recipe", "operator", "batch", "parts")
+    places = [page.locator(f"#{name}").bounding_box() for name in field_ids]
+    page.locator("#verdict").evaluate("one => { one.innerHTML = ''; }")
+    assert [page.locator(f"#{name}").bounding_box() for name in field_ids] == [
+        pytest.approx(place, abs=1.0) for place in places
+    ]
