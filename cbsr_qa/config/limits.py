@@ -94,6 +94,7 @@ class FailureCodeTable(Table):
     ]
     text: Line
     disposition: Line | Literal[""] = ""
+    disposition_again: Line | Literal[""] = ""
 
 
 def failure_code_problems(
@@ -115,11 +116,10 @@ def failure_code_problems(
             yield Problem(path, finding, f"{nearest} allowed: {', '.join(names)}".lstrip())
         first = first_by_code.setdefault(entry.code, cause)
         meaning = codes[first]
-        if (meaning.text, meaning.disposition) != (entry.text, entry.disposition):
+        if meaning != entry:
             finding = f"is {entry.code!r}, which {first!r} gives the text {meaning.text!r}"
-            yield Problem(
-                (*path, "code"), f"{finding} and the disposition {meaning.disposition!r}", "one code has one meaning"
-            )
+            finding += f" and the disposition {meaning.disposition!r}, again {meaning.disposition_again!r}"
+            yield Problem((*path, "code"), finding, "one code has one meaning")
 
 
 def size_problems(limits: Iterator[tuple[int, Mapping[str, Any]]], phases: Sequence[str]) -> Iterator[Problem]:

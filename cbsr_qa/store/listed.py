@@ -1,8 +1,7 @@
 """Runs as a shift lists them, by columns and indices: only the selected runs and their latest results are read."""
 
-from collections import Counter
-from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from collections.abc import Collection, Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
 from datetime import datetime
 from functools import partial
 from typing import Any, Final
@@ -89,6 +88,15 @@ class RunLists:
         with reading(self._engine) as connection:
             return _list_runs(connection, runs)
 
+    def read_failed_before(self, run: str) -> tuple[str, ...]:
+        """Return the codes of the earlier failures of a run's sensor with its recipe, as often as each was given."""
+        with reading(self._engine) as connection:
+            counts, tries, _ = _earlier(connection, [run])
+            query = select(RunRow.serial, RunRow.recipe).where(RunRow.run == run)
+            serial, recipe = connection.execute(query).one()
+            names = tries.get((serial, recipe), [])[: counts.get(run, 0)]  # none of a golden sensor
+            return _list_codes(_read_runs(connection, names, {}, set()))
+
     def count_runs(self, selection: RunSelection = _EVERY) -> int:
         """Return how many runs are selected. StoreError if the database cannot be read."""
         with reading(self._engine) as connection:
@@ -172,7 +180,29 @@ def _unknown_words(rows: ReadRows, altered: Collection[str]) -> dict[str, str]:
 
 
 def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun, ...]:
-    earlier, of_checks = _earlier(connection, names)
+    counts, tries, of_checks = _earlier(connection, names)
+    runs = {run.run: run for run in _read_runs(connection, names, counts, of_checks)}
+    repeated = {
+        name: tries[run.serial, run.recipe][: run.earlier]
+        for name, run in runs.items()
+        if run.earlier and run.failure_codes
+    }
+    others = sorted({name for own in repeated.values() for name in own} - set(runs))
+    known_runs = runs | {run.run: run for run in _read_runs(connection, others, {}, set())}
+    for name, own in repeated.items():
+        runs[name] = replace(runs[name], failed_before=_list_codes(known_runs[one] for one in own))
+    return tuple(runs.values())
+
+
+def _list_codes(runs: Iterable[ListedRun]) -> tuple[str, ...]:
+    """Return the codes of those runs that count as failed, as often as each was given."""
+    return tuple(code.code for run in runs if run.verdict is Outcome.FAIL for code in run.failure_codes)
+
+
+def _read_runs(
+    connection: Connection, names: Sequence[str], earlier: Mapping[str, int], of_checks: Collection[str]
+) -> list[ListedRun]:
+    """Return named runs without their sensors' earlier failures. ``earlier``: number of the tries before each."""
     runs: list[ListedRun] = []
     # Not all at once: garbage collection slows down with the number of objects.
     for page in verdict_pages(connection, names):
@@ -195,7 +225,7 @@ def _list_runs(connection: Connection, names: Sequence[str]) -> tuple[ListedRun,
             )
             for verdict in page
         )
-    return tuple(runs)
+    return runs
 
 
 def _run(
@@ -252,8 +282,13 @@ def _find_failures(
     return failed_by_analysis, altered
 
 
-def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, int], set[str]]:
-    """Return the number of earlier finished runs of its sensor and recipe for each run, and the golden runs."""
+def _earlier(
+    connection: Connection, names: Sequence[str]
+) -> tuple[dict[str, int], dict[tuple[str, str], list[str]], set[str]]:
+    """Return how many tries came before each run, the tries by sensor and recipe, and the golden runs.
+
+    A try is a finished run that made no check of a station.
+    """
     r, s = RunRow, RunStateRow
     has_finished = exists().where(s.run == r.run, s.end == str(EndReason.FINISHED))
     # A cell of another type must not stop this: the run is marked where its row is read.
@@ -264,10 +299,11 @@ def _earlier(connection: Connection, names: Sequence[str]) -> tuple[dict[str, in
     rows = [tuple(row) for row in connection.execute(query)]
     named_runs = set(connection.scalars(golden_runs()))
     of_checks = find_golden_runs(connection, named_runs.intersection(row[0] for row in rows))
-    finished_before: Counter[tuple[str, str]] = Counter()
+    tries: dict[tuple[str, str], list[str]] = {}
     count_by_run = {}
     for run, serial, recipe, ended in rows:
         if run not in of_checks:
-            count_by_run[run] = finished_before[serial, recipe]
-            finished_before[serial, recipe] += ended
-    return count_by_run, of_checks
+            own = tries.setdefault((serial, recipe), [])
+            count_by_run[run] = len(own)
+            own += [run] if ended else []
+    return count_by_run, tries, of_checks

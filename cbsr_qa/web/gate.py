@@ -12,6 +12,7 @@ from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import fits_pattern
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck
+from cbsr_qa.domain.plan.limits import Outcome, choose_disposition
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.store.opening import open_existing
@@ -33,6 +34,7 @@ class GateView:
     earlier : latest run of the sensor with the recipe, or with any if it has none; None before its first.
     runs : number of all runs of the sensor.
     recipe : name of the recipe.
+    todo : what is done with the sensor by its earlier run; empty if that did not fail, or its recipe does not say.
     """
 
     may: bool
@@ -41,6 +43,7 @@ class GateView:
     earlier: RunLook | None = None
     runs: int = 0
     recipe: str = ""
+    todo: str = ""
 
     @property
     def asks_again(self) -> str:
@@ -87,18 +90,21 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     result = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
     quiet_outcomes = (GateOutcome.PASSED, GateOutcome.OFF)
     answers = tuple(answer for answer in result.answers if answer.outcome not in quiet_outcomes)
-    earlier, runs = _read_earlier(database, wanted)
-    return GateView(result.refused is None, result.asks_pin, answers, earlier, runs, wanted.recipe.name)
+    earlier, runs, todo = _read_earlier(database, wanted)
+    return GateView(result.refused is None, result.asks_pin, answers, earlier, runs, wanted.recipe.name, todo)
 
 
-def _read_earlier(database: str | None, wanted: StartForm) -> tuple[RunLook | None, int]:
-    """Return the latest run of the sensor with the recipe, else with any, and the number of all its runs."""
+def _read_earlier(database: str | None, wanted: StartForm) -> tuple[RunLook | None, int, str]:
+    """Return the latest run of the sensor with the recipe, else with any; the number of its runs; what to do."""
     with open_existing(database_url(database)) or nullcontext() as store:
         if store is None:
-            return None, 0
+            return None, 0, ""
         find = store.live.find_latest_of_sensor
         earlier = find(wanted.serial, wanted.recipe.name) or find(wanted.serial)
-        return earlier, store.lists.count_runs(RunSelection(serials=(wanted.serial,)))
+        runs = store.lists.count_runs(RunSelection(serials=(wanted.serial,)))
+        listed = () if earlier is None else store.lists.read_named([earlier.run])
+        codes = [code for run in listed if run.verdict is Outcome.FAIL for code in run.failure_codes]
+        return earlier, runs, choose_disposition(codes)
 
 
 def read_latest(database: str | None, serial: str) -> RunLook | None:

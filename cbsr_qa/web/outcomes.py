@@ -106,9 +106,14 @@ def ago_words(moment: datetime) -> str:
 
 
 def earlier_words(look: RunLook) -> str:
-    """Return what an earlier run of a sensor came to, where, and how long ago."""
-    kind = verdict_kind(look)
-    return text("gate.earlier", outcome=text(f"outcome.{kind}"), station=look.station, ago=ago_words(look.worked_at))
+    """Return what an earlier run of a sensor came to, with which recipe, where, and how long ago."""
+    return text(
+        "gate.earlier",
+        outcome=text(f"outcome.{verdict_kind(look)}"),
+        recipe=look.recipe,
+        station=look.station,
+        ago=ago_words(look.worked_at),
+    )
 
 
 def reason_words(look: RunLook | None) -> str:

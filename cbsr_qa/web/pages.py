@@ -9,6 +9,7 @@ from urllib.parse import quote
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 
+from cbsr_qa.domain.plan.limits import choose_disposition
 from cbsr_qa.domain.results.measurement import Measurement
 from cbsr_qa.report.tables import limit_text, value_cell
 from cbsr_qa.system.clock import name_zones, write_local_time
@@ -204,6 +205,7 @@ def _environment() -> Environment:
         "write_local_time": write_local_time,
         "name_zones": name_zones,
         "cue": cue,
+        "choose_disposition": choose_disposition,
         "size_of": size_of,
         "ago_words": ago_words,
         "earlier_words": earlier_words,

@@ -232,9 +232,11 @@ def _list_failed(store: Repository, look: RunLook) -> Iterator[FailedLimit]:
         for code in select_failure_codes(look.coded, None, str(look.end), ()):
             yield FailedLimit("", code)
     if look.outcome in _SHOWN_OUTCOMES:
+        before = store.lists.read_failed_before(look.run) if look.outcome is Outcome.FAIL else ()
         measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
         for measurement in rank_judged(measurements, look.outcome):
-            codes = select_failure_codes(look.coded, look.outcome, str(look.end), [measurement.limit_key])
+            keys = [measurement.limit_key]
+            codes = select_failure_codes(look.coded, look.outcome, str(look.end), keys, before)
             yield FailedLimit(describe_judgement(measurement), codes[0] if codes else None, measurement)
 
 

@@ -79,6 +79,10 @@ def test_codes_are_stored_with_the_run(recipe):
             ("failure_codes.noise_floor.code is 'D', which 'drift' gives the text 't'", "one code has one meaning"),
         ),
         (
+            'drift = { code = "D", text = "t" }\nnoise_floor = { code = "D", text = "t", disposition_again = "a" }',
+            ("failure_codes.noise_floor.code", "one code has one meaning"),
+        ),
+        (
             'drift = { code = "D", text = "t" }\nnoise_floor = { code = "D", text = "t", disposition = "scrap" }',
             ("failure_codes.noise_floor.code", "one code has one meaning"),
         ),

@@ -9,7 +9,7 @@ from types import SimpleNamespace
 
 import pytest
 import sqlalchemy as sa
-from stored_lots import store_run
+from stored_lots import LIMITS, store_run
 
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
@@ -20,6 +20,7 @@ from cbsr_qa.web import gate
 from cbsr_qa.web.actions import Actions
 from cbsr_qa.web.gate import gate_view, is_serial
 from cbsr_qa.web.outcomes import earlier_words
+from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.state import Mode
 from cbsr_qa.web.stations import load_stations
@@ -60,14 +61,14 @@ def test_the_latest_test_with_this_recipe_is_named_with_its_station_and_asks_for
         store_run(store, "S-2", _MEASURED, recipe=recipe, station="line-9")
     view = _view(served, database)
     assert (view.asks_again, view.runs) == (latest, 3)
-    assert earlier_words(view.earlier) == f"{words} at line-8, just now."
+    assert earlier_words(view.earlier) == f"{words} with {view.earlier.recipe} at line-8, just now."
 
 
 def test_a_test_with_another_recipe_is_named_and_needs_no_consent(served, database):
     with open_store(f"sqlite:///{database}") as store:
         store_run(store, "S-1", _MEASURED, recipe="other", station="line-7", verdict=Verdict(Outcome.FAIL, "why"))
     view = _view(served, database)
-    assert (view.asks_again, earlier_words(view.earlier)) == ("", "Failed at line-7, just now.")
+    assert (view.asks_again, earlier_words(view.earlier)) == ("", "Failed with other at line-7, just now.")
 
 
 def test_a_run_without_a_result_is_named_and_needs_no_consent(served, database):
@@ -75,7 +76,35 @@ def test_a_run_without_a_result_is_named_and_needs_no_consent(served, database):
     with open_store(f"sqlite:///{database}") as store:
         store_run(store, "S-1", _MEASURED, recipe=recipe, station="line-7", end=EndReason.ABORTED)
     view = _view(served, database)
-    assert (view.asks_again, earlier_words(view.earlier)[:18]) == ("", "Stopped at line-7,")
+    assert (view.asks_again, earlier_words(view.earlier).startswith("Stopped with nine-locations at line-7,")) == (
+        "",
+        True,
+    )
+
+
+def test_the_scan_says_what_the_last_failure_asks_for_and_whether_the_recipe_is_new_to_the_sensor(served, database):
+    code = {"code": "N2", "text": "drifts", "disposition": "retest", "disposition_again": "scrap"}
+    tables = {"failure_codes": {"drift": code}}
+    drifted = (Measurement("drift", 9.0, "%/min").judge(LIMITS["drift"]),)
+    recipe = served.recipes[0].name
+    pages = Pages(SimpleNamespace(stations={}, trouble=""))
+    form = StartForm.from_form(served, {"serial": "S-1"})
+
+    def shown():
+        return pages.gate("line-1", form, _view(served, database))
+
+    with open_store(f"sqlite:///{database}") as store:
+        for name, todo in (
+            ("other", "retest"),
+            (recipe, "retest"),
+            (recipe, "scrap (it has failed 2 times with N2)"),
+        ):
+            store_run(store, "S-1", drifted, recipe=name, tables=tables)
+            assert f"by its last result: {todo}." in shown()
+            assert f"Failed with {name} at " in shown()
+            assert (f"Never tested with {recipe}." in shown()) == (name == "other")
+        store_run(store, "S-1", _MEASURED, recipe=recipe, tables=tables)
+    assert "by its last result" not in shown()
 
 
 def _actions(served, database, *, elsewhere=None):

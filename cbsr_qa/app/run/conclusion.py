@@ -119,6 +119,7 @@ def _conclude(
         history=history,
         sensor_history=sensor_history,
         coded=recipe.failure_codes,
+        failed_before=store.lists.read_failed_before(run),
     )
     store.analyses.save(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)

@@ -184,10 +184,16 @@ def rebuilt(run: str, store: Repository, plugins: Plugins, *, imaged: bool = Tru
     history = store.changes.read_history(record)
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     coded = restore(store.runs.read_configuration(run)).recipe.failure_codes
+    failed_before = store.lists.read_failed_before(run)
     if stored is None:
         without_result = _describe_unanalysed(record, resume_command(run, store))
         return replace(
-            without_result, station_check=check, history=history, sensor_history=sensor_history, coded=coded
+            without_result,
+            station_check=check,
+            history=history,
+            sensor_history=sensor_history,
+            coded=coded,
+            failed_before=failed_before,
         ), recipe
     check_decided(record, stored, recipe.limits)
     observation, characterisation, no_images_reason = _analyse_frames(record, recipe, plugins if imaged else None)
@@ -220,6 +226,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins, *, imaged: bool = Tru
         overrides=store.changes.list_overrides(run),
         sensor_history=sensor_history,
         coded=coded,
+        failed_before=failed_before,
     )
     return result, recipe
 

@@ -1,5 +1,6 @@
 """Limits of a recipe, how they judge a value, and the codes of what fails."""
 
+from collections import Counter
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from enum import StrEnum
@@ -161,19 +162,41 @@ class FailureCode:
     text : the failure in the line's words.
     disposition : what is done with the sensor: ``"scrap"``, ``"rework: check pin"``; may be empty.
     causes : limits and rules with this code, as recipes write them; of a run those that gave it.
+    disposition_again : what is done instead if the sensor fails with the code once more; empty for the same.
+    failed_before : earlier runs of the sensor and recipe that failed with the code; 0 where no run is meant.
     """
 
     code: str
     text: str
     disposition: str = ""
     causes: tuple[str, ...] = ()
+    disposition_again: str = ""
+    failed_before: int = 0
 
     def __str__(self) -> str:
         return self.code
 
     @property
     def words(self) -> str:
-        return f"{self.code} {self.text}" + (f": {self.disposition}" if self.disposition else "")
+        return f"{self.code} {self.text}" + (f": {self.todo}" if self.todo else "")
+
+    @property
+    def todo(self) -> str:
+        """What is done with the sensor, after all its failures with the code; empty where the recipe does not say."""
+        if not self.failed_before:
+            return self.disposition
+        disposition = self.disposition_again or self.disposition
+        return disposition and f"{disposition} (it has failed {self.failed_before + 1} times with {self.code})"
+
+
+def choose_disposition(codes: Iterable[FailureCode]) -> str:
+    """Return what is done with a sensor that has several codes; empty where the recipe does not say.
+
+    What a repeated failure asks for counts first: a retest was the answer to the one before.
+    """
+    told = [code for code in codes if code.todo]
+    repeated = [code for code in told if code.failed_before and code.disposition_again]
+    return next((code.todo for code in (*repeated, *told)), "")
 
 
 def name_limit(measurement: str, *details: str) -> str:
@@ -191,13 +214,22 @@ def read_failure_codes(table: Mapping[str, Mapping[str, Any]]) -> tuple[FailureC
     """Return the codes of a recipe's checked table ``[failure_codes]``, each once."""
     codes: dict[str, FailureCode] = {}
     for cause, entry in sorted(table.items()):
-        code = codes.get(entry["code"]) or FailureCode(entry["code"], entry["text"], entry.get("disposition", ""))
+        code = codes.get(entry["code"]) or FailureCode(
+            entry["code"],
+            entry["text"],
+            entry.get("disposition", ""),
+            disposition_again=entry.get("disposition_again", ""),
+        )
         codes[code.code] = replace(code, causes=(*code.causes, cause))
     return tuple(codes.values())
 
 
 def select_failure_codes(
-    codes: Iterable[FailureCode], outcome: Outcome | None, end: str, failed: Iterable[tuple[str, str, str]]
+    codes: Iterable[FailureCode],
+    outcome: Outcome | None,
+    end: str,
+    failed: Iterable[tuple[str, str, str]],
+    before: Iterable[str] = (),
 ) -> tuple[FailureCode, ...]:
     """Return the codes of what a run failed, each once with the causes that gave it; none of a run that passed.
 
@@ -206,7 +238,9 @@ def select_failure_codes(
     codes : all that its recipe gives.
     outcome, end : outcome of its analysis, whether overridden or not, and how it ended.
     failed : measurement, phase and qualifier of what is outside its limit, in the order of the codes.
+    before : codes of earlier failures of the sensor and recipe, as often as each was given.
     """
+    times_by_code = Counter(before)
     code_by_cause = {cause: code for code in codes for cause in code.causes}
     given: dict[str, FailureCode] = {}
     for names in _list_causes(outcome, end, failed) if code_by_cause else ():
@@ -214,7 +248,8 @@ def select_failure_codes(
         if cause is not None:
             code = code_by_cause[cause]
             earlier = given[code.code].causes if code.code in given else ()
-            given[code.code] = replace(code, causes=tuple(dict.fromkeys((*earlier, cause))))
+            causes = tuple(dict.fromkeys((*earlier, cause)))
+            given[code.code] = replace(code, causes=causes, failed_before=times_by_code[code.code])
     return tuple(given.values())
 
 

@@ -46,6 +46,8 @@ class ListedRun:
         verdict. Empty where nothing does.
     coded : all failure codes of its recipe; not read where its outcome has none.
     parts : parts of its sensor; none where it was altered.
+    failed_before : codes of earlier failures of the sensor and recipe, as often as each was given; empty unless it
+        failed.
     """
 
     run: str
@@ -70,12 +72,15 @@ class ListedRun:
     altered: str = ""
     coded: tuple[FailureCode, ...] = ()
     parts: tuple[SensorPart, ...] = ()
+    failed_before: tuple[str, ...] = ()
 
     @property
     def failure_codes(self) -> tuple[FailureCode, ...]:
         """Codes of what the run failed, the worst first, whether the verdict was overridden or not."""
         failed = [(key.name, key.phase, key.qualifier) for key in self.failed]
-        return () if self.altered else select_failure_codes(self.coded, self.outcome, str(self.end), failed)
+        if self.altered:
+            return ()
+        return select_failure_codes(self.coded, self.outcome, str(self.end), failed, self.failed_before)
 
     @property
     def finished(self) -> bool:

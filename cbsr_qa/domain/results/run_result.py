@@ -31,6 +31,7 @@ class RunResult:
     sensor_history : runs of the sensor that began before this one; None if not loaded.
     missing : whether the run has no stored result; the verdict is then "not measured".
     coded : all failure codes of the run's own recipe, also where another one was adopted.
+    failed_before : codes of earlier failures of the sensor and recipe, as often as each was given.
     """
 
     record: RunRecord
@@ -50,6 +51,7 @@ class RunResult:
     sensor_history: SensorHistory | None = None
     missing: bool = False
     coded: tuple[FailureCode, ...] = ()
+    failed_before: tuple[str, ...] = ()
 
     @property
     def calibration_words(self) -> str:
@@ -64,9 +66,9 @@ class RunResult:
         """Codes of what the run failed, the worst first, whether the verdict was overridden or not."""
         outcome, end = None if self.missing else self.verdict.outcome, str(self.record.end)
         failed = sorted((m for m in self.measurements if m.outcome is Outcome.FAIL), key=relative_margin)
-        return select_failure_codes(self.coded, outcome, end, [m.limit_key for m in failed])
+        return select_failure_codes(self.coded, outcome, end, [m.limit_key for m in failed], self.failed_before)
 
     def codes_of(self, measurement: Measurement) -> tuple[FailureCode, ...]:
         """Return the code of a failed measurement, as a tuple of one; empty for others and where it has none."""
         failed = measurement.outcome if measurement.outcome is Outcome.FAIL else None
-        return select_failure_codes(self.coded, failed, "", [measurement.limit_key])
+        return select_failure_codes(self.coded, failed, "", [measurement.limit_key], self.failed_before)

@@ -83,6 +83,31 @@ def test_codes_are_counted_most_sensors_first_and_without_overridden_passes(code
     )
 
 
+def test_a_failure_counts_the_earlier_ones_of_its_sensor_and_recipe_with_its_code(tmp_path):
+    again = {**CODES, ERROR: {**CODES[ERROR], "disposition_again": "scrap"}}
+    own = {"tables": {"failure_codes": again}}
+    with open_store(f"sqlite:///{tmp_path / 'again.db'}", durable=False) as store:
+        let_through = store_run(store, "A", values(error=9.0), **own)
+        store.changes.override_verdict(let_through, Outcome.PASS, operator="Bob", why="draught")
+        store_run(store, "A", values(error=9.0), recipe="other", **own)
+        store_run(store, "B", values(error=9.0), **own)
+        runs = [
+            store_run(store, "A", values(drift=3.0), **own),
+            store_run(store, "A", values(error=9.0), **own),
+            store_run(store, "A", values(error=9.0), end=EndReason.ABORTED, **own),
+            store_run(store, "A", values(error=9.0), **own),
+            store_run(store, "A", values(error=9.0, drift=3.0), **own),
+        ]
+        todo = [["scrap"], ["retest"], ["retest"], ["scrap (it has failed 2 times with P1)"]]
+        todo += [["scrap (it has failed 2 times with N2)", "scrap (it has failed 3 times with P1)"]]
+        listed = {run.run: run for run in store.lists.read_runs()}
+        assert [[code.todo for code in listed[run].failure_codes] for run in runs] == todo
+        (last,) = store.lists.read_named(runs[-1:])
+        assert last == listed[runs[-1]]
+        assert store.lists.read_failed_before(runs[-1]) == last.failed_before == ("N2", "P1", "P1")
+        assert store.lists.read_failed_before(runs[2]) == ("N2", "P1")
+
+
 def test_lists_print_codes(coded, capsys):
     url, _, _ = coded
     run_guarded(["runs", "--database", url])
@@ -96,6 +121,8 @@ def test_lists_print_codes(coded, capsys):
         "text": "drifts",
         "disposition": "scrap",
         "causes": [DRIFT],
+        "disposition_again": "",
+        "failed_before": 0,
     }
     assert listed["summary"]["codes"][0]["code"] == "M1"
 

@@ -7,7 +7,7 @@ import pytest
 from report_samples import sample_run
 
 from cbsr_qa.app.run.outcome import RunOutcome, run_outcome
-from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome, select_failure_codes
+from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome, choose_disposition, select_failure_codes
 from cbsr_qa.domain.results.measurement import Measurement, Verdict, decide
 from cbsr_qa.domain.run.changes import VerdictOverride
 from cbsr_qa.domain.run.states import EndReason
@@ -97,8 +97,42 @@ def test_report_terminal_and_json_show_code_and_disposition(result):
     told = run_outcome(RunOutcome.from_result(judged))
     assert any("P1 wrong place: retest" in line for line in terminal_lines(told.page, told.sections))
     assert json_document(told.result)["failure_codes"] == [
-        {"code": "P1", "text": "wrong place", "disposition": "retest", "causes": ["centre_of_mass_error"]}
+        {
+            "code": "P1",
+            "text": "wrong place",
+            "disposition": "retest",
+            "causes": ["centre_of_mass_error"],
+            "disposition_again": "",
+            "failed_before": 0,
+        }
     ]
+
+
+@pytest.mark.parametrize(
+    ("again", "before", "todo"),
+    [
+        ("scrap", (), "retest"),
+        ("scrap", ("E1",), "retest"),
+        ("scrap", ("P1", "E1"), "scrap (it has failed 2 times with P1)"),
+        ("scrap", ("P1", "P1"), "scrap (it has failed 3 times with P1)"),
+        ("", ("P1",), "retest (it has failed 2 times with P1)"),
+    ],
+)
+def test_a_sensor_that_fails_again_with_a_code_has_the_disposition_for_that(result, again, before, todo):
+    codes = tuple(replace(code, disposition_again=again if code.code == "P1" else "") for code in CODES)
+    failed = measured(("nine locations", 7.0))
+    judged = replace(result, coded=codes, failed_before=before, measurements=failed, verdict=decide(failed))
+    assert [code.todo for code in judged.failure_codes] == [todo]
+    assert run_page(judged).banner.actions == (f"P1 wrong place: {todo}",)
+    assert judged.codes_of(failed[0])[0].todo == todo
+
+
+def test_what_a_repeated_failure_asks_for_counts_before_the_worst():
+    worst, repeated = CODES[0], replace(CODES[1], disposition_again="scrap", failed_before=1)
+    assert choose_disposition((worst, CODES[1])) == "rework: check pin"
+    assert choose_disposition((worst, repeated)) == "scrap (it has failed 2 times with P1)"
+    assert choose_disposition((worst, replace(repeated, disposition_again=""))) == "rework: check pin"
+    assert choose_disposition((CODES[3],)) == ""
 
 
 def test_a_report_without_codes_has_no_column(result):
