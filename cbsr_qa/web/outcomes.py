@@ -34,6 +34,7 @@ SIGNS: Final = {
     "interrupted": "warn",
     "held": "wait",
     "open": "ready",
+    "pressed": "pressed",
     "passed": "pass",
     "warned": "warn",
     "refused": "fail",

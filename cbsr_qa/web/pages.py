@@ -122,14 +122,14 @@ def band_kind(place: Place) -> str:
     """Return the kind of a place, a key of :data:`SIGNS`."""
     if place.seen is None:
         return "running" if place.now else "open"
-    return {"good": "pass", "ok": "marginal"}.get(place.seen.band, "fail")
+    return "pressed"  # neutral whatever its band: limits judge it once the run is over
 
 
 def band_words(place: Place) -> str:
-    """Return the band of a place, as the recipe names it."""
+    """Return that a place was pressed with its band, as the recipe names it; else whether it is pressed now."""
     if place.seen is None:
         return text("live.now_place") if place.now else text("live.open_place")
-    return place.seen.band
+    return text("live.pressed", band=place.seen.band)
 
 
 def place_numbers(place: Place) -> str:

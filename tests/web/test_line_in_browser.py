@@ -73,7 +73,7 @@ def test_a_sensor_is_tested_by_keyboard_from_scan_to_verdict(line, pages):
     viewer.evaluate(_SEE_THE_HEAD)
     expect(viewer.locator(".progress")).to_have_text(re.compile("Place [1-5] of 5"))
     expect(viewer.locator("circle.place.running")).to_have_count(1)
-    expect(viewer.locator("use.place-sign").first).to_be_visible()
+    expect(viewer.locator("circle.place.pressed").first).to_be_visible()
     assert not re.search(r"\d mm", viewer.locator("main").inner_text()), "coordinates are shown on demand"
     viewer.shot("running")
     _accessible(viewer)

@@ -8,6 +8,7 @@ import pytest
 from stored_lots import store_run
 from stored_runs import identity, journalled, short_run
 
+from cbsr_qa.analysis.run.live import PlacePreview
 from cbsr_qa.app.run.control import confirm_bench
 from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
@@ -16,8 +17,9 @@ from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.line import Line
+from cbsr_qa.web.live_run import Place
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
-from cbsr_qa.web.pages import Pages, minutes_left, progress_words, size_of
+from cbsr_qa.web.pages import Pages, band_kind, band_words, minutes_left, progress_words, size_of
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, control_of, mode_of
 
 _PASSED = Verdict(Outcome.PASS, "it is well")
@@ -224,3 +226,11 @@ def test_after_a_start_that_came_to_nothing_no_other_sensors_verdict_is_shown(st
         assert ("What to do" in shown) is verdict
         assert f"The run of {serial} did not start" in pages.fragment("refused", s=ended)
     assert "Did not start" not in pages.fragment("state", s=replace(ended, refused=""), **names)
+
+
+def test_a_pressed_place_does_not_look_as_if_it_had_passed_or_failed():
+    load = SimpleNamespace(label="L1", x_mm=0.0, y_mm=0.0)
+    seen = {band: Place(load, PlacePreview(1.0, 70.0, band), now=False) for band in ("good", "ok", "poor")}
+    assert {band_kind(place) for place in seen.values()} == {"pressed"}
+    assert [band_words(place) for place in seen.values()] == [f"pressed, band: {band}" for band in seen]
+    assert [band_kind(Place(load, None, now=now)) for now in (False, True)] == ["open", "running"]
