@@ -269,7 +269,10 @@ class Pages:
         return self._environment.get_template(f"parts/{part}.html.j2").render(names)
 
     def overview(self, *, control: bool) -> str:
-        cards = [{"name": name, "snapshot": watch.snapshot} for name, watch in self._line.stations.items()]
+        cards = [
+            {"name": name, "snapshot": watch.snapshot, "simulated": watch.served.simulated}
+            for name, watch in self._line.stations.items()
+        ]
         return self.page("overview", control=control, here="overview", stream="/events", cards=cards)
 
     def station(self, name: str, *, control: bool) -> str:
@@ -311,7 +314,8 @@ class Pages:
         snapshot = self._line.stations[name].snapshot
         cached = self._cards.get(name)
         if cached is None or cached.snapshot is not snapshot:
-            card = Part.from_html(place, self.fragment("card", s=snapshot, name=name))
+            is_simulated = self._line.stations[name].served.simulated
+            card = Part.from_html(place, self.fragment("card", s=snapshot, name=name, is_simulated=is_simulated))
             cached = self._cards[name] = _Rendered(snapshot, "", [card])
         return cached.parts[0]
 
@@ -348,6 +352,7 @@ class Pages:
             "name": name,
             "base": _base(name),
             "recipes": recipes,
+            "is_simulated": watch.served.simulated,
             "asks_operator": watch.served.asks_operator,
             "chosen_recipe": last_recipe if last_recipe in recipe_names else recipe_names[0],
         }

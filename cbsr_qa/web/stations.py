@@ -44,6 +44,11 @@ class ServedStation:
         """Whether the gate asks who works here."""
         return self.station.gate.policy(GateCheck.OPERATOR) is not GatePolicy.OFF
 
+    @property
+    def simulated(self) -> bool:
+        """Whether the station file says that instruments are simulated: a virtual clock has no others."""
+        return self.station.clock == "virtual" or any(spec.emulated for spec in self.station.instruments)
+
     def recipe(self, name: str) -> OfferedRecipe:
         """Return an offered recipe. RefusedError if it is not offered."""
         for recipe in self.recipes:

@@ -10,6 +10,7 @@ from stored_runs import identity, journalled, short_run
 
 from cbsr_qa.analysis.run.live import PlacePreview
 from cbsr_qa.app.run.control import confirm_bench
+from cbsr_qa.config.loader import load_station
 from cbsr_qa.domain.plan.limits import FailureCode, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
@@ -21,6 +22,7 @@ from cbsr_qa.web.live_run import Place
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
 from cbsr_qa.web.pages import Pages, band_kind, band_words, minutes_left, progress_words, size_of
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, control_of, mode_of
+from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
 _PASSED = Verdict(Outcome.PASS, "it is well")
 _HELLO = {"run": None, "serial": "S-1", "recipe": "nine"}
@@ -234,3 +236,20 @@ def test_a_pressed_place_does_not_look_as_if_it_had_passed_or_failed():
     assert {band_kind(place) for place in seen.values()} == {"pressed"}
     assert [band_words(place) for place in seen.values()] == [f"pressed, band: {band}" for band in seen]
     assert [band_kind(Place(load, None, now=now)) for now in (False, True)] == ["open", "running"]
+
+
+@pytest.mark.parametrize("simulated", [True, False])
+def test_station_card_and_verdict_say_whether_the_bench_is_simulated(store, tmp_path, simulated):
+    look = store.live.find_run(store_run(store, "S-1", (), verdict=_PASSED))
+    assert look.simulated
+    station = load_station("simulated").value
+    station = station if simulated else replace(station, clock="real")
+    line = Line(
+        (ServedStation("bench", "bench", station, (OfferedRecipe("nine", "nine"),)),), str(tmp_path / "runs.db")
+    )
+    pages, snapshot = Pages(line), _snapshot(replace(look, simulated=simulated), Mode.DONE)
+    line.stations["bench"].snapshot = snapshot
+    mark = '<span class="simulated">simulated</span>'
+    assert (f"bench {mark}</h1>" in pages.station("bench", control=True)) is simulated
+    assert (f"bench {mark}</h2>" in pages.overview(control=True)) is simulated
+    assert (mark in pages.fragment("verdict", s=snapshot, base="", asks_operator=False)) is simulated

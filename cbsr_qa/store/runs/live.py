@@ -81,6 +81,7 @@ class RunLook:
     decision : the latest override of that analysis; None where there is none.
     coded : all failure codes of its recipe; empty where its outcome has none.
     parts : parts of the sensor, as stated with the run.
+    simulated : whether anything was simulated.
     altered : what does not match the chain, also its ``reason`` then; it has no outcome. Empty where nothing does.
     """
 
@@ -102,6 +103,7 @@ class RunLook:
     coded: tuple[FailureCode, ...] = ()
     parts: tuple[SensorPart, ...] = ()
     altered: str = ""
+    simulated: bool = False
 
     @property
     def verdict(self) -> Outcome | None:
@@ -252,6 +254,7 @@ def _look(engine: Engine, which: ColumnElement[bool]) -> RunLook | None:
             coded=verdict.coded,
             parts=verdict.parts,
             altered=verdict.altered,
+            simulated=bool(verdict.values["simulated"]),
         )
 
 
