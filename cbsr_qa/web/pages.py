@@ -11,7 +11,7 @@ from jinja2 import Environment, PackageLoader, StrictUndefined
 
 from cbsr_qa.domain.plan.limits import choose_disposition
 from cbsr_qa.domain.results.measurement import Measurement
-from cbsr_qa.report.tables import limit_text, value_cell
+from cbsr_qa.report.tables import limit_text, quantity, value_cell
 from cbsr_qa.system.clock import name_zones, write_local_time
 from cbsr_qa.web.drawings import Trace, scale_colours, trace
 from cbsr_qa.web.gate import GateView
@@ -178,6 +178,17 @@ def report_address(run: str, measurement: Measurement) -> str:
     return f"/runs/{run}/report#:~:text={label},-{phase}&text={label}"
 
 
+def measured_words(measurement: Measurement) -> str:
+    """Return the value of a judged measurement and how far it is from its nearer bound: ``71.5 %, 3.5 % below …``."""
+    value_words, limit, value = value_cell(measurement, unit=True).text, measurement.limit, measurement.value
+    if limit is None or value is None:
+        return value_words
+    margin = limit.margin(value)
+    below = limit.lower is not None and value < limit.lower
+    side = "inside" if margin >= 0 else "below" if below else "above"
+    return f"{value_words}, {text(f'limit.{side}', by=quantity(abs(margin), measurement.unit))}"
+
+
 def number(value: float, digits: int) -> str:
     """Format a value with a fixed number of digits, without a negative zero."""
     formatted = f"{value:.{digits}f}"
@@ -227,7 +238,7 @@ def _environment() -> Environment:
         "picture_address": picture_address,
         "number": number,
         "limit_text": limit_text,
-        "value_cell": value_cell,
+        "measured_words": measured_words,
         "report_address": report_address,
     }
     return environment

@@ -11,7 +11,7 @@ from stored_runs import identity, journalled, short_run
 from cbsr_qa.analysis.run.live import PlacePreview
 from cbsr_qa.app.run.control import confirm_bench
 from cbsr_qa.config.loader import load_station
-from cbsr_qa.domain.plan.limits import FailureCode, Outcome
+from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.run import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
@@ -20,7 +20,7 @@ from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import Place
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
-from cbsr_qa.web.pages import Pages, band_kind, band_words, minutes_left, progress_words, size_of
+from cbsr_qa.web.pages import Pages, band_kind, band_words, measured_words, minutes_left, progress_words, size_of
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, control_of, mode_of
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
@@ -253,3 +253,16 @@ def test_station_card_and_verdict_say_whether_the_bench_is_simulated(store, tmp_
     assert (f"bench {mark}</h1>" in pages.station("bench", control=True)) is simulated
     assert (f"bench {mark}</h2>" in pages.overview(control=True)) is simulated
     assert (mark in pages.fragment("verdict", s=snapshot, base="", asks_operator=False)) is simulated
+
+
+@pytest.mark.parametrize(
+    ("value", "words"),
+    [
+        (71.5, "71.5 %, 3.5 % below the limit"),
+        (93.0, "93.0 %, 3.0 % above the limit"),
+        (80.0, "80.0 %, 5.0 % inside the limit"),
+    ],
+)
+def test_a_value_is_said_with_its_distance_from_the_limit(value, words):
+    judged = Measurement("area_overlap", value, "%").judge(Limit("area_overlap", "%", 75.0, 90.0))
+    assert measured_words(judged).replace("\N{NO-BREAK SPACE}", " ") == words

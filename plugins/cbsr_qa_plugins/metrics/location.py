@@ -50,7 +50,7 @@ class CentreOfMassError:
 class AreaOverlap:
     """``area_overlap`` [%], limited only together with ``area_ratio`` A_b/A_FA, of every load under every mask.
 
-    Both ``how`` begin with the band, e.g. ``"good; A_b/A_FA 1.02; exact clipping"``. Clipping, bands and the
+    Both ``how`` begin with the band, e.g. ``"band good; A_b/A_FA 1.02; exact clipping"``. Clipping, bands and the
     sizes for which they count are the recipe's analysis settings; there are no options.
     """
 
@@ -68,7 +68,7 @@ class AreaOverlap:
                     overlap, ratio, bands=run.settings.overlap_bands, size_ratio=run.settings.size_ratio
                 )
                 clipped = "elements" if isinstance(view.region, Blob) else "a contour"
-                how = f"{grade}; A_b/A_FA {ratio:.2f}; {run.settings.clipping} clipping of {clipped}"
+                how = f"band {grade}; A_b/A_FA {ratio:.2f}; {run.settings.clipping} clipping of {clipped}"
             measured.append(measurement_of_load(load, "area_overlap", overlap, "%", qualifier=qualifier, how=how))
             measured.append(measurement_of_load(load, "area_ratio", ratio, "1", qualifier=qualifier, how=how))
         return tuple(measured)

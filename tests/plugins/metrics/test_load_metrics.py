@@ -24,7 +24,7 @@ def test_spatial_metrics_of_a_shifted_disc():
     assert (overlap.name, overlap.unit, ratio.name, ratio.unit) == ("area_overlap", "%", "area_ratio", "1")
     assert overlap.value == pytest.approx(80.49, abs=0.02)
     assert ratio.value == pytest.approx(1.0, abs=1e-3)
-    assert overlap.how.startswith("good; A_b/A_FA 1.00; exact clipping")
+    assert overlap.how.startswith("band good; A_b/A_FA 1.00; exact clipping")
     deviation = ShapeDeviation().measure_load(load, run)[1]
     assert (deviation.name, deviation.unit) == ("shape_deviation", "mm²")
     assert deviation.value == pytest.approx(1.99, abs=0.005)
@@ -41,7 +41,7 @@ def test_a_blob_of_the_wrong_size_is_no_ok():
     load = sample_load(blob_mm=(0.0, 0.0, 13.0))
     overlap = AreaOverlap().measure_load(load, sample_run((load,)))[2]
     assert overlap.value == pytest.approx(62.5, abs=0.1)
-    assert overlap.how.startswith("likely poor: size")
+    assert overlap.how.startswith("band likely poor: size")
 
 
 @pytest.mark.parametrize("metric", [CentreOfMassError(), AreaOverlap(), ShapeDeviation()])
