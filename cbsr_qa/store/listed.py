@@ -207,7 +207,7 @@ def _read_runs(
     # Not all at once: garbage collection slows down with the number of objects.
     for page in verdict_pages(connection, names):
         verdicts = {verdict.run: verdict for verdict in page if verdict.outcome is Outcome.FAIL}
-        failed: dict[str, dict[MetricKey, None]] = {}
+        failed: dict[str, list[MetricKey]] = {}
         altered: dict[str, str] = {}
         find_failures = partial(_find_failures, connection, verdicts)
         for metrics, problems in read_apart(
@@ -219,7 +219,7 @@ def _read_runs(
             _run(
                 verdict,
                 altered.get(verdict.run, verdict.altered),
-                tuple(failed.get(verdict.analysis, ())),
+                failed.get(verdict.analysis, []),
                 earlier.get(verdict.run, 0),
                 of_check=verdict.run in of_checks,
             )
@@ -229,7 +229,7 @@ def _read_runs(
 
 
 def _run(
-    verdict: StoredVerdict, altered: str, failed: tuple[MetricKey, ...], earlier: int, *, of_check: bool
+    verdict: StoredVerdict, altered: str, failed: Sequence[MetricKey], earlier: int, *, of_check: bool
 ) -> ListedRun:
     row = verdict.values
     return ListedRun(
@@ -246,7 +246,7 @@ def _run(
         outcome=None if altered else verdict.outcome,
         reason=altered or verdict.reason,
         decision=None if altered else verdict.decision,
-        failed=failed,
+        failed=tuple(dict.fromkeys(failed)),
         earlier=earlier,
         of_check=of_check,
         simulated=bool(row["simulated"]),
@@ -255,13 +255,14 @@ def _run(
         altered=altered,
         coded=verdict.coded,
         parts=verdict.parts,
+        failures=len(failed),
     )
 
 
 def _find_failures(
     connection: Connection, verdicts: Mapping[str, StoredVerdict], runs: Sequence[str]
-) -> tuple[dict[str, dict[MetricKey, None]], dict[str, str]]:
-    """Return the metrics outside their limits by analysis, the worst first, and the problems of altered runs.
+) -> tuple[dict[str, list[MetricKey]], dict[str, str]]:
+    """Return what is outside its limit by analysis, the worst first, and the problems of altered runs.
 
     Only failed runs are passed in: one metric outside its limits decides that.
     """
@@ -276,8 +277,7 @@ def _find_failures(
         if outcome == Outcome.FAIL and analysis in latest_analyses and run not in altered:
             margins.setdefault(analysis, []).append((margin_to(value, lower, upper), MetricKey(*key)))
     failed_by_analysis = {
-        analysis: dict.fromkeys(key for _, key in sorted(own, key=lambda pair: pair[0]))
-        for analysis, own in margins.items()
+        analysis: [key for _, key in sorted(own, key=lambda pair: pair[0])] for analysis, own in margins.items()
     }
     return failed_by_analysis, altered
 

@@ -12,7 +12,7 @@ from starlette.exceptions import HTTPException
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_serial
 from cbsr_qa.domain.errors import CbsrError, ConfigError
-from cbsr_qa.domain.plan.limits import name_limit
+from cbsr_qa.domain.plan.limits import Outcome, name_limit
 from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import metric_words
@@ -90,9 +90,13 @@ def shift_page(
         for reference in station_references
     )
     handover = sort_for_handover(runs, in_progress)
+    being_tested = {run.serial for run in runs if run.run in in_progress}
+    over = [run for run in runs if run.altered or run.serial not in being_tested]
     return {
         "day": since,
         "summary": summarise_runs(runs),
+        "over": summarise_runs(over).total,
+        "codes_given": summarise_runs([run for run in over if run.verdict is Outcome.FAIL]).codes,
         "handover": handover,
         "sentence": _describe_handover(handover),
         "limit_words": {key.label: _describe_limit(key) for run in runs for key in run.failed},
@@ -128,9 +132,14 @@ def _describe_limit(key: MetricKey) -> str:
 
 
 def describe_run(run: ListedRun) -> str:
-    """Return the reason of a run's verdict, or who stopped it; without the step, which is in its report."""
+    """Return the reason of a run's verdict, or who stopped it; without the step, which is in its report.
+
+    Of a run that failed several limits the reason is the worst, and their number is said first.
+    """
     if run.end is EndReason.ABORTED and run.end_detail and not run.altered:
         return text("station.stopped_by", who=name_stopper(run.end_detail))
+    if run.failures > 1 and run.decision is None and not run.altered:
+        return text("shift.worst", count=run.failures, reason=run.reason)
     return describe_decision(run)
 
 

@@ -78,7 +78,7 @@ def test_the_shift_is_handed_over_in_a_sentence_with_what_to_do(shift):
     assert "4 sensors were tested: 2 passed, 1 failed, 1 without a verdict; 1 is still running." in words
     failed = words.partition("Failed sensors")[2].partition("Sensors without a verdict")[0]
     assert "P2 a load is <imaged> too large" in failed
-    assert "Retest & weigh." in failed
+    assert "Retest & weigh (it has failed 2 times with P2)." in failed
     assert "centre of mass error (L0) is 8 mm" in failed
     assert "2 line-2" in failed  # number of tests, station
     stations = words.partition("Tests Passed Failed No verdict Still running")[2]

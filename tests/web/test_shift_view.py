@@ -12,8 +12,8 @@ from filled_databases import filled
 from stored_lots import store_run
 from stored_runs import SETTING
 
-from cbsr_qa.domain.plan.limits import Limit
-from cbsr_qa.domain.results.measurement import Measurement
+from cbsr_qa.domain.plan.limits import Limit, Outcome
+from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.run import RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
@@ -80,3 +80,35 @@ def test_a_run_over_midnight_is_of_both_days(tmp_path, monkeypatch):
     assert listed(began + timedelta(seconds=202)) == [names[1]]
     assert listed(began + timedelta(seconds=202), names[0]) == [names[1], names[0]]
     assert listed(began + timedelta(hours=3)) == []
+
+
+def test_headline_yield_and_codes_agree_while_a_sensor_is_tested_again(tmp_path, monkeypatch):
+    """Of four sensors one passed, one failed, one failed and is tested again, one was stopped."""
+    codes = {
+        "drift": {"code": "N2", "text": "drifts", "disposition": "scrap"},
+        "aborted": {"code": "M2", "text": "s"},
+    }
+    codes["aborted"]["disposition"] = "retest"
+    own = {"station": "A", "tables": {"failure_codes": codes}}
+    drifts = tuple(Measurement("drift", value, "1", location=f"L{value:g}").judge(_STEADY) for value in (2.0, 3.0))
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url, durable=False) as store:
+        store_run(store, "S-1", (), **own, verdict=Verdict(Outcome.PASS, "so"))
+        store_run(store, "S-2", drifts, **own)
+        store_run(store, "S-3", drifts, **own)
+        again = store_run(store, "S-3", (), end=EndReason.ABORTED, **own)
+        store_run(store, "S-4", (), end=EndReason.ABORTED, **own)
+        began = store.live.find_run(again).started_at
+    midnight = began - timedelta(hours=1)
+    monkeypatch.setattr("cbsr_qa.app.shift.summary.local_day", lambda: (midnight, midnight + timedelta(days=1)))
+    content = shift_page(url, ("A",), frozenset([again]))
+    handover, over = content["handover"], content["over"]
+    assert (handover.passed, len(handover.failed), len(handover.running)) == (1, 1, 1)
+    assert (over.test_yield.passed, over.test_yield.count) == (1, 2)
+    assert [(code.code, code.sensors) for code in content["codes_given"]] == [("N2", 1)]
+    shown = Pages(Line((), url)).page("shift", control=True, here="shift", **content)
+    assert "2 limits failed; the worst: " in shown
+    undecided = shown.partition("Sensors without a verdict</h2>")[2].partition("</table>")[0]
+    assert "S-4" in undecided
+    assert "resume the run" in undecided
+    assert "Retest" not in undecided

@@ -48,6 +48,7 @@ class ListedRun:
     parts : parts of its sensor; none where it was altered.
     failed_before : codes of earlier failures of the sensor and recipe, as often as each was given; empty unless it
         failed.
+    failures : number of measurements outside their limits in that analysis, each place of a sheet counted.
     """
 
     run: str
@@ -73,6 +74,7 @@ class ListedRun:
     coded: tuple[FailureCode, ...] = ()
     parts: tuple[SensorPart, ...] = ()
     failed_before: tuple[str, ...] = ()
+    failures: int = 0
 
     @property
     def failure_codes(self) -> tuple[FailureCode, ...]:
