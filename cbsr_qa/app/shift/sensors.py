@@ -21,6 +21,8 @@ from cbsr_qa.system.words import echo
 MOST_FOUND: Final = 200
 #: Latest runs of which a name is suggested in place of an unknown one.
 _RUNS_WITH_NAMES: Final = 2000
+#: Most names listed that hold a text.
+_MOST_ALIKE: Final = 30
 _REMEDY: Final = "give a serial number, or a part as sheet=LOT7/B, sheet=LOT7 or LOT7"
 
 
@@ -83,12 +85,14 @@ class FoundSensors:
     count : number of sensors found; more than are listed if there are many.
     altered : number of further runs that were altered, of the latest 500: one may belong here.
     nearest : name to search for instead, where nothing was found; may be empty.
+    alike : names of the latest runs with the text in them, where nothing was found; those that begin with it first.
     """
 
     sensors: tuple[tuple[SensorState, ...], ...]
     count: int
     altered: int
     nearest: str
+    alike: tuple[str, ...] = ()
 
 
 def count_sensors(states: Collection[SensorState]) -> int:
@@ -149,7 +153,9 @@ def search_sensors(store: Repository, wanted: str) -> FoundSensors:
         states_by_serial.setdefault(state.last.serial, []).append(state)
     altered = store.sensors.find_altered_lately({run.run for run in runs})
     sensors = tuple(tuple(states) for states in states_by_serial.values())
-    return FoundSensors(sensors, len(serials), len(altered), "" if serials else _nearest(store, wanted))
+    if serials:
+        return FoundSensors(sensors, len(serials), len(altered), "")
+    return FoundSensors(sensors, 0, len(altered), _nearest(store, wanted), _find_alike(store, wanted))
 
 
 def _list_typos(name: str) -> list[str]:
@@ -179,6 +185,14 @@ def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
     with suppress(ConfigError):  # the identifier of a part may hold more
         serial = validate_serial(wanted)
     return serial, replace(part, name="")
+
+
+def _find_alike(store: Repository, wanted: str) -> tuple[str, ...]:
+    """Return serial numbers and parts of the latest runs that hold a text, those that begin with it first."""
+    serials, parts = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
+    small = wanted.lower()
+    names = [name for name in sorted({*serials, *map(str, parts)}) if small in name.lower()]
+    return tuple(sorted(names, key=lambda name: not name.lower().startswith(small))[:_MOST_ALIKE])
 
 
 def _nearest(store: Repository, wanted: str) -> str:

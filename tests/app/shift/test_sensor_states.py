@@ -151,6 +151,16 @@ def test_where_nothing_is_found_the_nearest_name_is_told(store, wanted, nearest)
     assert (result.count, result.nearest) == (0, nearest)
 
 
+def test_names_that_hold_a_text_are_listed_those_that_begin_with_it_first(tmp_path):
+    with open_store(f"sqlite:///{tmp_path / 'alike.db'}", durable=False) as store:
+        for serial in ("S-101", "S-102", "S-110", "X-S-10", "S-11"):
+            store_run(store, serial, (), parts=["sheet=S-109"])
+        found = search_sensors(store, "s-10")
+        assert (found.count, found.alike) == (0, ("S-101", "S-102", "X-S-10", "sheet=S-109"))
+        assert search_sensors(store, "Q").alike == ()
+        assert search_sensors(store, "S-101").alike == ()
+
+
 @pytest.mark.parametrize("wanted", ["sheet=", "=LOT7", "a b=LOT7", "x" * 65, "A\x00B", "/B", "\u202e"])
 def test_what_can_be_no_name_is_refused(store, wanted):
     with pytest.raises(ConfigError):
