@@ -122,7 +122,13 @@ def _describe_handover(handover: "Handover") -> str:
         words = text("handover.one" if tested == 1 else "handover.tested", count=tested, ends=ends)
     if running := count_sensors(handover.running):
         words += text("handover.one_runs" if running == 1 else "handover.run", count=running)
-    return f"{words}."
+    failed = [
+        text("handover.one_failed", serial=state.last.serial, codes=", ".join(map(str, codes)))
+        if (codes := state.shown.failure_codes)
+        else state.last.serial
+        for state in handover.failed
+    ]
+    return f"{words}." + (text("handover.failed_are", sensors=", ".join(failed)) if failed else "")
 
 
 def _describe_limit(key: MetricKey) -> str:
