@@ -19,7 +19,10 @@ LONGEST_REASON = 500
 #: Longest pattern of serial numbers [characters].
 LONGEST_PATTERN = 200
 
-_PART_REMEDY = f"give NAME=IDENTIFIER or NAME=IDENTIFIER/REVISION, each up to {LONGEST} characters: sheet=LOT7/B"
+_PART_REMEDY = (
+    "give what it is, = and its number, as sheet=LOT7, or with a revision sheet=LOT7/B;"
+    f" each up to {LONGEST} characters"
+)
 _IDENTIFIER = re.compile(r"[A-Za-z0-9][A-Za-z0-9._-]*")
 
 
@@ -168,7 +171,7 @@ def _identifier_error(noun: str, text: str, why: str) -> ConfigError:
     allowed = (
         "letters, digits, single spaces and . _ - '"
         if noun == "operator"
-        else "letters, digits and . _ -, starting with a letter or a digit"
+        else "A to Z, a to z, digits and . _ -, starting with a letter or a digit, as S-104"
     )
     return ConfigError(
         f"{noun} {echo(text, 24)} cannot be used: {why}", remedy=f"allowed: 1 to {LONGEST} characters: {allowed}"

@@ -64,8 +64,8 @@ class LiveView:
 
     Parameters
     ----------
-    place_number, planned_places : number of the place under the head or next, counted from 1, and of all places; 0
-        outside the grid, and in a grid that presses a place more than once.
+    place_number : number of the place under the head or next, counted from 1; 0 outside the grid, and in a grid that
+        presses a place more than once.
     frame : number of the imaged frame, in the address of its picture; 0 without one.
     change_percent : change at the dark end of the scale; 0 without an image.
     force_N, conductance_percent : points (time_s, value) of the last :data:`TRACE_S`; the conductance relative to the
@@ -82,7 +82,6 @@ class LiveView:
     loads_planned: int
     places: tuple[Place, ...]
     place_number: int
-    planned_places: int
     frame: int
     change_percent: float
     force_N: tuple[tuple[float, float], ...]
@@ -163,7 +162,6 @@ class LiveRun:
             loads_planned=sum(phase.loads if phase.goal is None else phase.goal.at_most for phase in self._schedule),
             places=tuple(places),
             place_number=_number_place(places) if phases and phases[-1].role is Role.GRID else 0,
-            planned_places=len(places),
             frame=self._frames if self.picture else 0,
             change_percent=100 * self._change,
             force_N=thin_trace(self._force),

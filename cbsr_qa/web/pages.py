@@ -87,14 +87,11 @@ def step_words(snapshot: Snapshot) -> str:
 
 
 def progress_words(snapshot: Snapshot) -> str:
-    """Return how far the run has come: the place under the head or the next one, of how many; else the press."""
-    control, live = snapshot.control, snapshot.live
-    if live is not None and live.place_number:
-        return text("live.place", number=live.place_number, of=live.planned_places)
+    """Return how far the run has come: the press under way, or the next one, of how many."""
+    control = snapshot.control
     if control is None or not control.number:
         return ""
-    press = "live.next_press" if control.next else "live.press"
-    return text(press, number=control.number, of=control.of)
+    return text("live.press", number=control.number, of=control.of)
 
 
 def phase_words(snapshot: Snapshot) -> str:
@@ -185,8 +182,8 @@ def measured_words(measurement: Measurement) -> str:
         return value_words
     margin = limit.margin(value)
     below = limit.lower is not None and value < limit.lower
-    side = "inside" if margin >= 0 else "below" if below else "above"
-    return f"{value_words}, {text(f'limit.{side}', by=quantity(abs(margin), measurement.unit))}"
+    side = "limit.inside" if margin >= 0 else "limit.below" if below else "limit.above"
+    return f"{value_words}, {text(side, by=quantity(abs(margin), measurement.unit))}"
 
 
 def number(value: float, digits: int) -> str:

@@ -57,7 +57,6 @@ class Control:
     step : the step in words.
     place : label of the load under the head; empty for none. ``x_mm``, ``y_mm``: where the head is.
     number, of : number of the press under way or next, and number of all; 0 for none.
-    next : whether that press is yet to begin.
     ends_at : expected end of the run, by ``time.monotonic`` [s]; None if unknown, or if its clock does not wait.
     paused_by, pause_wanted_by : person who paused the run, or asked for a pause; None for nobody.
     """
@@ -72,7 +71,6 @@ class Control:
     y_mm: float | None
     number: int
     of: int
-    next: bool
     ends_at: float | None
     paused_by: str | None
     pause_wanted_by: str | None
@@ -223,7 +221,6 @@ def control_of(hello: Mapping[str, Any], state: Mapping[str, Any], *, down: bool
         y_mm=float(load["y_mm"]) if load and down else None,
         number=0 if press is None else int(press["number"]),
         of=0 if press is None else int(press["of"]),
-        next=load is None,
         ends_at=ends_at,
         paused_by=None if paused is None else str(paused.get("by") or ""),
         pause_wanted_by=str(pause_wanted) if pause_wanted else None,

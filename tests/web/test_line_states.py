@@ -97,19 +97,17 @@ def test_the_time_left_stands_while_a_run_waits_and_is_unknown_on_a_clock_that_d
     assert "not known" in minutes_left(_snapshot(None, Mode.RUNNING, _control(clock_speed=None)))
 
 
-def test_progress_is_the_place_of_how_many_or_the_press_outside_a_grid_of_single_places():
-    load = {"label": "L3", "x_mm": 0.0, "y_mm": 0.0, "number": 3, "of": 9}
-    in_grid, elsewhere = SimpleNamespace(place_number=3, planned_places=9), SimpleNamespace(place_number=0)
+def test_progress_is_one_counter_of_presses_under_way_or_next():
+    load = {"label": "L3", "x_mm": 0.0, "y_mm": 0.0, "number": 3, "of": 23}
     said = [
-        progress_words(_snapshot(None, control=_control(step="pressing L3 at (0, 0) mm", **state), live=live))
-        for state, live in (
-            ({"load": load, "next": None}, in_grid),
-            ({"load": load, "next": None}, elsewhere),
-            ({"load": None, "next": {"number": 4, "of": 9}}, None),
-            ({"load": None, "next": None}, None),
+        progress_words(_snapshot(None, control=_control(step="pressing L3 at (0, 0) mm", **state)))
+        for state in (
+            {"load": load, "next": None},
+            {"load": None, "next": {"number": 4, "of": 23}},
+            {"load": None, "next": None},
         )
     ]
-    assert said == ["Place 3 of 9", "Press 3 of 9", "Next: press 4 of 9", ""]
+    assert said == ["Press 3 of 23", "Press 4 of 23", ""]
 
 
 @pytest.mark.parametrize(
