@@ -133,6 +133,8 @@ def test_who_confirms_at_one_station_does_nothing_else_there_or_elsewhere(page, 
         page.get_by_role("button", name="Cancel the start").click()
         path, form = _posted(page, stations, count)[-1]
         assert (path, form["by"]) == (f"/stations/{station}/cancel", "")
+        expect(page.locator("[aria-busy]")).to_have_count(0)
+        expect(page.locator("#say")).to_be_empty()
 
 
 def test_enter_in_the_name_of_who_confirms_confirms_nothing(page, stations, look):

@@ -282,8 +282,8 @@ document.addEventListener("submit", async (event) => {
     if (latest && mine !== turn) return;
     const said = answer.headers.get("content-type")?.startsWith("application/json") ? await answer.json() : null;
     if (!said?.passes) showBefore();
+    if (latest) showWrong(said?.wrong);
     if (said) take(said, asked);
-    if (said && latest) showWrong(said.wrong);
     else tell(await answer.text(), { refused: true });
   } catch {
     lost(true);
