@@ -167,12 +167,12 @@ class Actions:
         return _json_answer(words=text("control.cancelled", serial=started.what), passes=True)
 
     async def resume(self, station: str, form: dict[str, str]) -> Response:
-        """Resume the latest run of the station."""
+        """Resume the latest run of the station, as the operator who works there now."""
         watch = self._line.stations[station]
         look = watch.look
         if look is None or look.run != form.get("run"):
             raise RefusedError(text("problem.no_run"))
-        operator = validate_operator(form.get("operator", look.operator))
+        operator = validate_operator(form.get("operator", form.get("by") or look.operator))
         pin = form.get("pin", "")
         guesser = await self.count_pin(station, operator, pin)
         await run_in_threadpool(check_pin, watch.served, operator, pin)

@@ -183,6 +183,23 @@ def test_a_part_that_cannot_be_used_leaves_the_sensor_as_it_was(served, database
     assert ("parts" in answer, answer["fields"]) == (False, {"serial": "S-1"})
 
 
+@pytest.mark.parametrize(
+    ("form", "operator"), [({"by": "Lee"}, "Lee"), ({"by": ""}, "Kim"), ({"operator": "Ada", "by": "Lee"}, "Ada")]
+)
+def test_a_run_is_resumed_by_who_works_at_the_station_now(served, database, monkeypatch, form, operator):
+    actions = _actions(served, database)
+    actions._line.stations["line-1"].look = SimpleNamespace(run="a-run", operator="Kim", serial="S-1")
+    begun = []
+
+    async def begin(station, arguments, *_):
+        begun.extend(arguments)
+
+    monkeypatch.setattr(actions, "_begin", begin)
+    with ThreadPoolExecutor(1) as another:
+        another.submit(asyncio.run, actions.resume("line-1", {"run": "a-run", **form})).result()
+    assert f"--operator={operator}" in begun
+
+
 def test_the_past_of_a_sensor_is_found_by_an_index_among_however_many_runs(database):
     statements = []
     with open_store(f"sqlite:///{database}") as store:
