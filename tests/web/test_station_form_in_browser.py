@@ -112,6 +112,17 @@ def test_the_name_that_was_typed_last_stays_until_another_run_names_its_operator
     expect(operator).to_have_value("Ada")
 
 
+def test_what_is_done_to_a_resumed_run_is_done_by_the_name_that_stood_at_the_station(page, stations, look):
+    stations.show("line-1", Mode.DONE, _aborted(replace(look, operator="Lee")))
+    page.reload()
+    page.get_by_role("button", name="Resume the run of S-5").click()
+    assert _posted(page, stations, 1)[0][1]["by"] == "Lee"
+    stations.show("line-1", Mode.STARTING, look)
+    page.goto("/stations/line-1")
+    page.get_by_role("button", name="Cancel the start").click()
+    assert _posted(page, stations, 2)[1][1]["by"] == "Lee"
+
+
 def test_enter_after_the_name_leads_to_the_scan(page, stations):
     page.locator("#operator").fill("Lee")
     page.locator("#operator").press("Enter")

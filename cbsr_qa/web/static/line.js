@@ -72,6 +72,7 @@ function showName(place) {
   if (!field || !localStorage.getItem(nameKey(field.form))) return;
   const [run, name] = readName(field.form);
   if (run === field.dataset.run) field.value = name;
+  else if (name === field.value) keepName(field.form, name);
   else localStorage.removeItem(nameKey(field.form));
 }
 // A name that was typed is kept even if the page is left in the middle of it.
@@ -258,8 +259,9 @@ document.addEventListener("submit", async (event) => {
   tell("");
   document.querySelector(":popover-open")?.hidePopover();
   const fields = new URLSearchParams(new FormData(form));
-  if (fields.has("operator")) keepName(form, fields.get("operator"));
-  else if (!fields.has("by")) fields.set("by", readName(form)[1]);
+  const name = fields.get("operator") ?? document.getElementById("operator")?.value;
+  if (name !== undefined) keepName(form, name);
+  if (!fields.has("operator") && !fields.has("by")) fields.set("by", readName(form)[1]);
   if (latest) {
     restated = false;
     fields.set("checked", shownSerial());
