@@ -20,7 +20,7 @@ from cbsr_qa.calibration.uncertainty.budget import evaluate_forces
 from cbsr_qa.config.merging import content_digest
 from cbsr_qa.domain.errors import CalibrationError, RefusedError, StoreError
 from cbsr_qa.domain.plan.plan import CertificateSettings
-from cbsr_qa.domain.plan.standards import find_doubtful_dates
+from cbsr_qa.domain.plan.standards import find_doubtful_dates, find_overdue
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
@@ -57,8 +57,8 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         If the run was altered or its chain removed, or no certificate of it may be issued here (see
         :meth:`~cbsr_qa.store.results.certificates.Certificates.check_allowed`).
     RefusedError
-        If the sensor did not pass, the run issued no calibration that tells force, a standard was expired on the day
-        of calibration, or the validity has ended.
+        If the sensor did not pass, the run issued no calibration that tells force, an instrument or standard was overdue
+        on the day of calibration, or the validity has ended.
     ConfigError
         If the settings are missing or not allowed.
     """
@@ -74,9 +74,11 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
     settings, key = choose_settings(request, configuration)
     issued = _load_calibration(store, analysis, record.chain_head)
     performed = record.identity.started_at.astimezone(UTC).date(), datetime.fromisoformat(issued.issued_at).date()
-    for problem in find_doubtful_dates(issued.standards, performed[0]):
+    due_by_name = {f"{one.role} ({one.driver})": one.calibration_due for one in record.identity.instruments}
+    for problem in (*find_overdue(due_by_name, performed[0]), *find_doubtful_dates(issued.standards, performed[0])):
         raise RefusedError(
-            f"run {run} is not certified: {problem}", remedy="test the sensor again with a standard that is in date"
+            f"run {run} is not certified: {problem}",
+            remedy="test the sensor again with instruments and standards that are in date",
         )
     assert issued.validity.force_N is not None
     valid_until = None if settings.validity_months is None else add_months(performed[1], settings.validity_months)

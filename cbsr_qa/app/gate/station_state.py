@@ -7,7 +7,7 @@ from cbsr_qa.app.gate.request import Asked, Finding
 from cbsr_qa.app.station_charts import charts_after
 from cbsr_qa.config.merging import BATCH_NOUN, FileContent, list_files
 from cbsr_qa.config.paths import batch_file
-from cbsr_qa.domain.plan.standards import find_doubtful_dates, past_due
+from cbsr_qa.domain.plan.standards import find_doubtful_dates, find_overdue, past_due
 from cbsr_qa.domain.run.station import CheckOutcome, CheckSeal, worst_check
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.clock import write_local_time
@@ -80,10 +80,7 @@ def instruments_in_date(asked: Asked) -> Finding:
         for instrument in station.instruments
         if instrument.calibration_due
     }
-    doubtful_words = [
-        f"the calibration of {name} was due on {due}" for name, due in due_by_name.items() if past_due(due, today)
-    ]
-    doubtful_words += find_doubtful_dates(station.standards, today)
+    doubtful_words = [*find_overdue(due_by_name, today), *find_doubtful_dates(station.standards, today)]
     due_by_name |= {standard.role: standard.due for standard in station.standards}
     if doubtful_words:
         is_late = any(past_due(due, today) for due in due_by_name.values())

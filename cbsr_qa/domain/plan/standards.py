@@ -139,6 +139,13 @@ def is_dated_later(certificate_date: str, today: date) -> bool:
     return date.fromisoformat(certificate_date) > today
 
 
+def find_overdue(due_by_name: Mapping[str, str | None], today: date) -> Iterator[str]:
+    """Yield instruments, by name with an ISO date or None, that were due before today."""
+    for name, due in due_by_name.items():
+        if past_due(due, today):
+            yield f"the calibration of {name} was due on {due}"
+
+
 def find_doubtful_dates(standards: Iterable[ReferenceStandard], today: date) -> Iterator[str]:
     """Yield standards that were due before today, or whose certificates are dated later."""
     for standard in standards:

@@ -460,6 +460,18 @@ def test_a_standard_that_was_overdue_is_named(tmp_path, monkeypatch, capsys):
 
 
 @REST
+def test_an_instrument_that_was_overdue_is_named(tmp_path, monkeypatch, capsys):
+    """The gate of the shipped station only warns of it."""
+    write_recipe(tmp_path / "recipe.toml")
+    write_station(tmp_path / "station.toml")
+    station = (tmp_path / "station.toml").read_text()
+    due = '[instruments.bench]\ncalibration_due = "2026-02-28"\n'
+    (tmp_path / "station.toml").write_text(station.replace("[instruments.bench]\n", due))
+    said = _run_and_refuse(tmp_path, "S-1", monkeypatch, capsys)
+    assert "the calibration of bench (simulated-bench) was due on 2026-02-28" in said
+
+
+@REST
 def test_a_sensor_that_failed_is_named(tmp_path, monkeypatch, capsys):
     write_recipe(tmp_path / "recipe.toml", upper_N=1e-6)
     write_station(tmp_path / "station.toml")
