@@ -8,7 +8,7 @@ from typing import Final
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, Replacement
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, MonteCarlo
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, MonteCarlo, list_missing
 
 #: Sentences of page and XML that are the same in every certificate.
 ITEM: Final = "Soft pressure sensor, read by electrical impedance tomography"
@@ -181,12 +181,14 @@ def list_remarks(certificate: Certificate) -> list[str]:
 
 
 def describe_use(certificate: Certificate) -> str:
-    """Return what U in use has beyond that of the day of calibration."""
-    until = "" if certificate.valid_until is None else f", until {certificate.valid_until}"
+    """Return what U in use has beyond that of the day of calibration, and until when it holds."""
     names = {component.name for force in certificate.forces_in_use for component in force.components}
     parts = [f"a drift of the readings' gains over {IN_USE_YEARS:g} year"] if GAIN_DRIFT in names else []
     parts += ["the temperatures named above"] if "temperature" in names else []
     with_more = f"with {' and '.join(parts)}" if parts else "of which no further input is stated"
+    if GAIN_DRIFT in list_missing(certificate.forces_in_use):
+        return f"U in use is that of a later force, {with_more}; without the drift of gains, nobody knows until when."
+    until = "" if certificate.valid_until is None else f", until {certificate.valid_until}"
     return f"U in use is that of a later force{until}, {with_more}."
 
 

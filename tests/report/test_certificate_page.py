@@ -15,6 +15,7 @@ from cbsr_qa.report.certificate_texts import (
     describe_checked,
     describe_rule,
     describe_traceability,
+    describe_use,
     list_remarks,
     state_conformity,
 )
@@ -125,6 +126,12 @@ def test_both_uncertainties_of_a_force_are_told_apart():
         in (text_of(page))
     )
     assert "drift of the readings" not in render_certificate(certificate(), "")
+
+
+def test_without_a_drift_of_gains_u_in_use_names_no_day_until_which_it_holds():
+    said = describe_use(certificate(forces_in_use=(expanded_force(not_stated=[GAIN_DRIFT]),)))
+    assert "without the drift of gains, nobody knows until when" in said
+    assert "2027" not in said
 
 
 def test_no_load_that_was_held_out_disappears():

@@ -24,7 +24,7 @@ from cbsr_qa.domain.plan.standards import find_doubtful_dates, find_overdue
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedForce, Result
+from cbsr_qa.domain.results.expanded_force import IN_USE_YEARS, Result
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
@@ -57,8 +57,8 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         If the run was altered or its chain removed, or no certificate of it may be issued here (see
         :meth:`~cbsr_qa.store.results.certificates.Certificates.check_allowed`).
     RefusedError
-        If the sensor did not pass, the run issued no calibration that tells force, an instrument or standard was overdue
-        on the day of calibration, or the validity has ended.
+        If the sensor did not pass, the run issued no calibration that tells force, an instrument or standard was
+        overdue on the day of calibration, the clock is before that day, or the validity is too long or has ended.
     ConfigError
         If the settings are missing or not allowed.
     """
@@ -73,24 +73,11 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
     check_decided(record, analysis, recipe.limits)
     settings, key = choose_settings(request, configuration)
     issued = _load_calibration(store, analysis, record.chain_head)
-    performed = record.identity.started_at.astimezone(UTC).date(), datetime.fromisoformat(issued.issued_at).date()
-    due_by_name = {f"{one.role} ({one.driver})": one.calibration_due for one in record.identity.instruments}
-    for problem in (*find_overdue(due_by_name, performed[0]), *find_doubtful_dates(issued.standards, performed[0])):
-        raise RefusedError(
-            f"run {run} is not certified: {problem}",
-            remedy="test the sensor again with instruments and standards that are in date",
-        )
+    performed, valid_until = _date_calibration(record, issued, settings, now)
     assert issued.validity.force_N is not None
-    valid_until = None if settings.validity_months is None else add_months(performed[1], settings.validity_months)
-    if valid_until is not None and valid_until < now.date():
-        raise RefusedError(
-            f"run {run} is not certified: its validity of {settings.validity_months} months ended on {valid_until}",
-            remedy="test the sensor again",
-        )
     places_mm = choose_places(issued)
     forces = evaluate_forces(issued, None, places_mm, result=Result.ON_THE_DAY)
     in_use = evaluate_forces(issued, None, places_mm, result=Result.IN_USE)
-    _check_validity(run, settings, in_use)
     judged_by = settings if is_reference_known(record.identity, issued.standards) else None
     checked, left_out = check_loads(record, recipe, Calibration(issued), judged_by)
     certificate = Certificate(
@@ -121,16 +108,37 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
     return Composed(certificate, key, record.chain_head)
 
 
-def _check_validity(run: str, settings: CertificateSettings, forces: Sequence[ExpandedForce]) -> None:
-    """Refuse a validity beyond the time for which the budget states the drift of gains."""
-    longest = round(12 * IN_USE_YEARS)
-    drifts = any(component.name == GAIN_DRIFT for force in forces for component in force.components)
-    if drifts and (settings.validity_months or 0) > longest:
+def _date_calibration(
+    record: RunRecord, issued: IssuedCalibration, settings: CertificateSettings, now: datetime
+) -> tuple[tuple[date, date], date | None]:
+    """Return first and last day of a calibration, and the last of its validity; refuse days that cannot be stated."""
+    begun, ended = record.identity.started_at.astimezone(UTC).date(), datetime.fromisoformat(issued.issued_at).date()
+    due_by_name = {f"{one.role} ({one.driver})": one.calibration_due for one in record.identity.instruments}
+    refused = f"run {record.identity.run} is not certified"
+    for problem in (*find_overdue(due_by_name, begun), *find_doubtful_dates(issued.standards, begun)):
         raise RefusedError(
-            f"run {run} is not certified: U includes a drift of gains over {longest} months, and the validity is"
-            f" {settings.validity_months}",
+            f"{refused}: {problem}",
+            remedy="test the sensor again with instruments and standards that are in date",
+        )
+    if now.date() < ended:
+        raise RefusedError(
+            f"{refused}: by the clock of this computer it is {now.date()}, and the calibration was made on {ended}",
+            remedy="set the clock",
+        )
+    months, longest = settings.validity_months, round(12 * IN_USE_YEARS)
+    if months is None:
+        return (begun, ended), None
+    if months > longest:
+        raise RefusedError(
+            f"{refused}: U in use is stated for {longest} months at most, and the validity is {months}",
             remedy=f"state a validity of at most {longest} months",
         )
+    valid_until = add_months(ended, months)
+    if valid_until < now.date():
+        raise RefusedError(
+            f"{refused}: its validity of {months} months ended on {valid_until}", remedy="test the sensor again"
+        )
+    return (begun, ended), valid_until
 
 
 def _describe_replaced(replaced: StoredCertificate, why: str) -> Replacement:

@@ -5,28 +5,27 @@ import re
 import sqlite3
 from contextlib import closing
 from dataclasses import replace
-from datetime import UTC, date, datetime
+from datetime import UTC, date, datetime, timedelta
 from types import SimpleNamespace
 
 import pytest
 from altered_runs import fill
-from certificates import HOSTILE, expanded_force, laboratory_table
+from certificates import HOSTILE, laboratory_table
 from certified_runs import STANDARDS, copy_tested, write_recipe, write_station
 from synced import run_of
 
 import cbsr_qa as qa
-from cbsr_qa.app.certificate import compose
 from cbsr_qa.app.certificate.checked_loads import check_loads
-from cbsr_qa.app.certificate.compose import add_months, choose_places, number_certificate
+from cbsr_qa.app.certificate.compose import add_months, choose_places, compose_certificate, number_certificate
+from cbsr_qa.app.certificate.request import CertificateRequest
 from cbsr_qa.app.certificate.verify import verify_certificate
 from cbsr_qa.app.run.decided_again import judging_recipe
 from cbsr_qa.calibration.file.hdf5 import calibration_of
 from cbsr_qa.calibration.file.keys import new_key
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.loader import load_certificate_settings, load_station
-from cbsr_qa.domain.errors import CalibrationError, ConfigError
+from cbsr_qa.domain.errors import CalibrationError, ConfigError, RefusedError
 from cbsr_qa.domain.plan.limits import Outcome
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT
 from cbsr_qa.store.opening import open_store
 
 REST = pytest.mark.rest
@@ -118,10 +117,22 @@ def test_an_overridden_verdict_is_stated_with_who_decided(place):
 
 
 @REST
-def test_a_validity_beyond_the_time_that_u_is_stated_for_is_refused(place, monkeypatch):
-    monkeypatch.setattr(compose, "evaluate_forces", lambda *_, result: (expanded_force(name=GAIN_DRIFT),))
-    place.certify("S-1", "--to", "out", "--validity-months", "13", code=2)
+def test_a_validity_beyond_the_time_that_u_is_stated_for_is_refused(place):
+    """Also where no drift of gains is stated, as here: less data must not allow a stronger claim."""
+    refused = place.certify("S-1", "--to", "out", "--validity-months", "13", code=2)["refused"]
+    assert "U in use is stated for 12 months at most, and the validity is 13" in refused["reason"]
     issued_nothing(place)
+
+
+@REST
+def test_a_certificate_is_not_issued_before_its_calibration(place):
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+        (analysis,) = store.analyses.load(run)
+        early = analysis.analysed_at - timedelta(days=30)
+        said = f"it is {early.date()}, and the calibration was made on {analysis.analysed_at.date()}"
+        with pytest.raises(RefusedError, match=f"by the clock of this computer {said}"):
+            compose_certificate(store, run, CertificateRequest(place.folder / "out"), early)
 
 
 @REST
