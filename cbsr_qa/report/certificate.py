@@ -39,6 +39,8 @@ from cbsr_qa.report.render import make_environment, read_style
 _MOST_LOADS: Final = 8
 #: Characters of the texts of any length on the first side, above which its letters are smaller.
 _MOST_TEXT: Final = 900
+#: Characters of the remarks, above which the letters of the second side are smaller.
+_MOST_REMARKS: Final = 500
 #: The same in the table of loads.
 _DECISIONS: Final = {
     "pass": "conforms",
@@ -58,6 +60,7 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
     ----------
     fingerprint : of the key that signs the file beside it; empty if it is not signed.
     """
+    remarks = list_remarks(certificate)
     return _read_template().render(
         c=certificate,
         style=_read_style(),
@@ -87,7 +90,8 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
         loads=[_load(load) for load in choose_loads(certificate.checked)],
         statement=state_conformity(certificate),
         rule=describe_rule(certificate),
-        remarks=list_remarks(certificate),
+        remarks=remarks,
+        dense_results=sum(map(len, remarks)) > _MOST_REMARKS,
     )
 
 

@@ -3,7 +3,7 @@
 from collections import Counter
 from collections.abc import Iterator
 from itertools import chain
-from math import floor, isfinite, log10
+from math import ceil, floor, isfinite, log10
 from typing import Final
 
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
@@ -32,6 +32,9 @@ SCOPE: Final = (
 )
 #: Most reductions of the range that are written out.
 _MOST_REDUCED: Final = 5
+#: Most lines of deviations that are written out, and characters of a line: more do not fit on the page.
+_MOST_LINES: Final = 8
+_LINE: Final = 120
 #: Where sensors are calibrated, for people.
 _PERFORMED: Final = {
     "laboratory": "at the laboratory",
@@ -172,12 +175,28 @@ def list_remarks(certificate: Certificate) -> list[str]:
     simulated = "; ".join(certificate.identity.simulated)
     remarks = [f"Simulated: {simulated}." if simulated else "Nothing was simulated."]
     remarks += _compare_with_random_numbers(certificate)
+    remarks += _list_deviations(certificate)
     reduced = certificate.reduced
     remarks += [f"{reason[:1].upper()}{reason[1:]}." for reason in reduced[:_MOST_REDUCED]]
     if len(reduced) > _MOST_REDUCED:
         remarks.append(f"{len(reduced) - _MOST_REDUCED} more limitations stand in the calibration file.")
     remarks.append("The sensor was not adjusted: the calibration file converts its readings to forces.")
     return remarks
+
+
+def _list_deviations(certificate: Certificate) -> Iterator[str]:
+    """Yield the deviations that fit on the page, whole, and how many more there are."""
+    room, more = _MOST_LINES, 0
+    for warning in certificate.deviations:
+        text = "".join(letter if letter.isprintable() else " " for letter in warning)  # as a plugin wrote it
+        lines = ceil(len(text) / _LINE)
+        if lines > room:
+            more += 1
+            continue
+        room -= lines
+        yield f"{text[:1].upper()}{text[1:]}."
+    if more:
+        yield f"Further deviations and warnings, which the report of the run lists: {more}."
 
 
 def describe_use(certificate: Certificate) -> str:

@@ -157,6 +157,23 @@ def test_an_interval_by_random_numbers_says_why_it_was_made():
     assert "at most 2.90 U." in remark
 
 
+def test_deviations_are_remarks_as_far_as_they_fit_and_the_others_are_counted():
+    usual = list_remarks(certificate())
+    few = list_remarks(
+        certificate(deviations=("gate, disk: 1 GB free; overridden by Zoë: so", "2\x07readings jumped"))
+    )
+    assert [one for one in few if one not in usual] == [
+        "Gate, disk: 1 GB free; overridden by Zoë: so.",
+        "2 readings jumped.",
+    ]
+    many = list_remarks(certificate(deviations=(*(f"{n}{'x' * 359}" for n in range(5)), "short")))
+    *whole, counted = [one for one in many if one not in usual]
+    assert [one[:1] for one in whole] == ["0", "1", "S"]
+    assert counted.endswith(": 3.")
+    short = list_remarks(certificate(deviations=tuple(map(str, range(99)))))
+    assert [one for one in short if one not in usual][8:] == [counted.replace(": 3.", ": 91.")]
+
+
 def test_names_with_markup_are_text():
     page = render_certificate(certificate(customer=Customer(HOSTILE, HOSTILE)), "")
     plain = _Text(render_certificate(certificate(), ""))

@@ -33,7 +33,10 @@ MADE = {
         replaced=Replacement("SSW-1", "other head", 64 * "e", "revoked on 2026-11-21 by Ada: wrong head")
     ),
     "hostile": lambda: certificate(
-        customer=Customer(HOSTILE, HOSTILE), replaced=Replacement("SSW-1", HOSTILE, 64 * "e"), reduced=(HOSTILE,)
+        customer=Customer(HOSTILE, HOSTILE),
+        replaced=Replacement("SSW-1", HOSTILE, 64 * "e"),
+        reduced=(HOSTILE,),
+        deviations=(HOSTILE,),
     ),
     "one degree of freedom": lambda: certificate(
         forces=(expanded_force(dof=1.0, k=12.71), expanded_force(dof=inf, k=1.96, u_N=1e-7)),

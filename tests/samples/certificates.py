@@ -93,6 +93,7 @@ def certificate(**changes):
         ),
         "checked": (checked_load(0.03), checked_load(-0.05, 3.5)),
         "left_out": (),
+        "deviations": (),
         "reduced": ("all loads were pressed at one strain",),
         "valid_until": date(2027, 11, 21),
         "replaced": None,
@@ -125,6 +126,7 @@ def largest_certificate():
             LeftOutLoad("random loads", (30.0, 0.0), why, 5.2, 4.9) for why in ("", "no force was recorded")
         ),
         checked=tuple(checked_load(0.02 * n, 1.5 + 0.1 * n) for n in range(25)),
+        deviations=tuple(f"gate, disk: finding number {n}; overridden by Ada: {'a reason ' * 20}" for n in range(9)),
         reduced=tuple(
             f"reason number {n} why the range is smaller than the recipe intended, in words" for n in range(9)
         ),

@@ -25,6 +25,7 @@ from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
 from cbsr_qa.domain.results.expanded_force import IN_USE_YEARS, Result
+from cbsr_qa.domain.run.gate import GateOutcome, gate_warnings
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.results.analyses import StoredAnalysis
@@ -101,6 +102,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         forces_in_use=in_use,
         checked=checked,
         left_out=left_out,
+        deviations=list_deviations(record, stored),
         reduced=issued.validity.reduced,
         valid_until=valid_until,
         replaced=None if replaced is None else _describe_replaced(replaced, request.why),
@@ -139,6 +141,13 @@ def _date_calibration(
             f"{refused}: its validity of {months} months ended on {valid_until}", remedy="test the sensor again"
         )
     return (begun, ended), valid_until
+
+
+def list_deviations(record: RunRecord, stored: Sequence[StoredAnalysis]) -> tuple[str, ...]:
+    """Return what was not as the recipe and the gate intend (ISO/IEC 17025, 7.8.2.1 n), each once."""
+    overridden = gate_warnings(one for one in record.gate if one.outcome is GateOutcome.OVERRIDDEN)
+    warnings = (*stored[0].warnings, *stored[-1].warnings, *gate_warnings(record.gate))
+    return tuple(dict.fromkeys((*overridden, *warnings)))
 
 
 def _describe_replaced(replaced: StoredCertificate, why: str) -> Replacement:

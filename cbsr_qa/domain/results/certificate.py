@@ -118,6 +118,7 @@ class Certificate:
     forces, forces_in_use : results: force with U at stated places, on the day of calibration; the same in use.
     checked : loads that the calibration was not learned from, within its range.
     left_out : all other loads that it was not learned from.
+    deviations : checks before the run that a person overrode, then warnings of its latest analysis and of the run.
     reduced : why the calibration's range is smaller than intended.
     valid_until : None: no validity is stated.
     replaced : the certificate that this one replaces; None without.
@@ -143,6 +144,7 @@ class Certificate:
     forces_in_use: tuple[ExpandedForce, ...]
     checked: tuple[CheckedLoad, ...]
     left_out: tuple[LeftOutLoad, ...]
+    deviations: tuple[str, ...]
     reduced: tuple[str, ...]
     valid_until: date | None
     replaced: Replacement | None

@@ -16,7 +16,13 @@ from synced import run_of
 
 import cbsr_qa as qa
 from cbsr_qa.app.certificate.checked_loads import check_loads
-from cbsr_qa.app.certificate.compose import add_months, choose_places, compose_certificate, number_certificate
+from cbsr_qa.app.certificate.compose import (
+    add_months,
+    choose_places,
+    compose_certificate,
+    list_deviations,
+    number_certificate,
+)
 from cbsr_qa.app.certificate.request import CertificateRequest
 from cbsr_qa.app.certificate.verify import verify_certificate
 from cbsr_qa.app.run.decided_again import judging_recipe
@@ -25,7 +31,9 @@ from cbsr_qa.calibration.file.keys import new_key
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.loader import load_certificate_settings, load_station
 from cbsr_qa.domain.errors import CalibrationError, ConfigError, RefusedError
+from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
 from cbsr_qa.domain.plan.limits import Outcome
+from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome, gate_warnings
 from cbsr_qa.store.opening import open_store
 
 REST = pytest.mark.rest
@@ -114,6 +122,30 @@ def test_an_overridden_verdict_is_stated_with_who_decided(place):
     made = place.certify("S-1", "--to", "out")
     for file in (made["html"], made["dcc"]):
         assert "pass, overridden by Bob: looked again" in (place.folder / file).read_text()
+
+
+@REST
+def test_what_a_person_overrode_and_what_the_run_warned_of_stand_among_the_remarks(place):
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+        record = store.runs.load(run)
+        (stored,) = store.analyses.load(run)
+    answers = [
+        GateAnswer(GateCheck.DISK, GatePolicy.WARN, GateOutcome.WARNED, "4 GB free"),
+        GateAnswer(GateCheck.DISK, GatePolicy.REFUSE, GateOutcome.OVERRIDDEN, "1 GB free", "", "Zoë", "so"),
+    ]
+    latest = replace(stored, warnings=("3 readings jumped", "common"))
+    first = replace(stored, warnings=("common", "the run was paused once"))
+    assert list_deviations(replace(record, gate=tuple(answers)), (latest, first)) == (
+        "gate, disk: 1 GB free; overridden by Zoë: so",
+        "3 readings jumped",
+        "common",
+        "the run was paused once",
+        "gate, disk: 4 GB free",
+    )
+    with open_store(f"sqlite:///{place.database}") as store:
+        made = compose_certificate(store, run, CertificateRequest(place.folder / "out"), datetime.now(UTC))
+    assert set(made.certificate.deviations) >= {*stored.warnings, *gate_warnings(record.gate)}
 
 
 @REST
