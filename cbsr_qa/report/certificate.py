@@ -14,12 +14,12 @@ from cbsr_qa.domain.results.certificate import NOT_MEASURED, NOT_STATED, Certifi
 from cbsr_qa.domain.results.expanded_force import ExpandedForce, list_missing
 from cbsr_qa.report.certificate_texts import (
     ABOUT_ERRORS,
-    ABOUT_THE_DAY,
     ABOUT_UNCERTAINTIES,
     ITEM,
     PROCEDURE,
     SCOPE,
     describe_checked,
+    describe_day,
     describe_place,
     describe_replaced,
     describe_results,
@@ -74,7 +74,7 @@ def render_certificate(certificate: Certificate, fingerprint: str) -> str:
         traceability=describe_traceability(certificate),
         about_results=describe_results(certificate),
         about_uncertainties=ABOUT_UNCERTAINTIES,
-        about_the_day=ABOUT_THE_DAY,
+        about_the_day=describe_day(certificate),
         about_errors=ABOUT_ERRORS,
         scope=SCOPE,
         signature=describe_signature(fingerprint),

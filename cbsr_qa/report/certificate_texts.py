@@ -21,7 +21,6 @@ ABOUT_UNCERTAINTIES: Final = (
     "U = k·u for a coverage probability of about 95 % (JCGM 100:2008); k is of Student's distribution with the"
     " effective degrees of freedom ν."
 )
-ABOUT_THE_DAY: Final = "U is that of the day of calibration."
 ABOUT_ERRORS: Final = (
     "Error: force indicated by the last frame of the hold, minus reference force. U is that of the error"
 )
@@ -197,6 +196,12 @@ def _list_deviations(certificate: Certificate) -> Iterator[str]:
         yield f"{text[:1].upper()}{text[1:]}."
     if more:
         yield f"Further deviations and warnings, which the report of the run lists: {more}."
+
+
+def describe_day(certificate: Certificate) -> str:
+    """Return what U is of; on the day, what temperature did is in the scatter of loads, measured or not."""
+    unknown = "" if certificate.temperature_C else ", which was not measured"
+    return f"U is that of the day of calibration, at its temperature{unknown}."
 
 
 def describe_use(certificate: Certificate) -> str:

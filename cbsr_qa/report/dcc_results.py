@@ -8,10 +8,10 @@ from cbsr_qa.domain.results.certificate import NOT_MEASURED, NOT_STATED, Certifi
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.report.certificate_texts import (
     ABOUT_ERRORS,
-    ABOUT_THE_DAY,
     ABOUT_UNCERTAINTIES,
     PROCEDURE,
     describe_checked,
+    describe_day,
     describe_results,
     describe_rule,
     describe_use,
@@ -34,7 +34,7 @@ def add_results(result: Element, certificate: Certificate) -> None:
     _add_equipment(add_element(result, "measuringEquipments"), certificate)
     _add_conditions(add_element(result, "influenceConditions"), certificate)
     results = add_element(result, "results")
-    _add_forces(results, "Expanded uncertainty of an indicated force", ABOUT_THE_DAY, certificate.forces)
+    _add_forces(results, "Expanded uncertainty of an indicated force", describe_day(certificate), certificate.forces)
     in_use = describe_use(certificate)
     _add_forces(results, "Expanded uncertainty of an indicated force in use", in_use, certificate.forces_in_use)
     _add_checked(results, certificate)

@@ -76,6 +76,7 @@ def test_what_was_not_stated_is_said_to_be_not_stated():
     for stated in (
         "Customer not stated",
         "Temperature not measured",
+        "U is that of the day of calibration, at its temperature, which was not measured.",
         "load cell not stated",
         "Validity not stated",
     ):

@@ -18,7 +18,7 @@ from cbsr_qa.calibration.file.keys import SigningKey, signing_key
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.standards import StandardRole
-from cbsr_qa.domain.results.certificate import Certificate
+from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate
 from cbsr_qa.domain.results.certificate_records import IssuedCertificate
 from cbsr_qa.domain.results.expanded_force import ExpandedForce
 from cbsr_qa.domain.results.fleet import RunSelection
@@ -121,7 +121,7 @@ def issue_certificate(
     facts = [("Number", files.number), ("Signed by", f"key {signed_by}" if signed_by else "nobody")]
     printed = [("Page", str(files.html)), ("XML", str(files.dcc))]
     printed += [("Signature", str(request.folder / f"{files.number}{SIGNATURE}"))] if signed_by else []
-    warnings = [] if signed_by else [_NOT_SIGNED]
+    warnings = [*_warn_of_customer(request), *([] if signed_by else [_NOT_SIGNED])]
     return answer(files, f"certificate of {serial} issued", files.statement, facts, printed, warnings)
 
 
@@ -161,6 +161,7 @@ def issue_batch(
     issued = tuple(one for one in in_order if isinstance(one, CertificateFiles))
     refused = tuple(one for one in in_order if isinstance(one, RefusedCertificate))
     warnings = [f"sensor {one.serial} got none: {one.reason}" for one in refused]
+    warnings += _warn_of_customer(request) if issued else []
     outcome = answer(
         BatchCertificates(batch, issued, refused),
         f"{plural(len(issued), 'certificate')} of batch {batch} issued",
@@ -174,6 +175,13 @@ def issue_batch(
     if not issued:
         banner = Banner("fail", "✗", f"no certificate of batch {batch} issued", banner.reason)
     return replace(outcome, page=replace(outcome.page, banner=banner), exit_code=1)
+
+
+def _warn_of_customer(request: CertificateRequest) -> list[str]:
+    """Return a warning of what a certificate lacks of its customer (ISO/IEC 17025, 7.8.2.1 e)."""
+    options = (("--customer", request.customer.name), ("--customer-address", request.customer.address))
+    missing = [option for option, text in options if not text]
+    return [f'the customer is "{NOT_STATED}": give {" and ".join(missing)}'] if missing else []
 
 
 def _issue_in_worker(

@@ -449,6 +449,23 @@ def test_the_requirement_of_a_file_is_dropped_by_an_option(place, capsys):
 
 
 @REST
+@pytest.mark.parametrize(
+    ("words", "missing"),
+    [
+        ((), 'the customer is "not stated": give --customer and --customer-address'),
+        (("--customer", "Robots plc"), 'the customer is "not stated": give --customer-address'),
+        (("--customer", "Robots plc", "--customer-address", "Ring 1"), ""),
+    ],
+)
+def test_a_customer_that_is_not_stated_is_warned_of(place, words, missing, capsys):
+    assert run_guarded(["certificate", "S-1", "--to", "out", *words, *place.at]) == 0
+    told = capsys.readouterr()
+    said = " ".join((told.out + told.err).split())
+    assert ("the customer is" in said) is bool(missing)
+    assert missing in said
+
+
+@REST
 def test_a_list_is_not_written_over_another_file(place):
     new_key(place.folder / "a.key")
     before = (place.folder / "station.toml").read_text()
