@@ -211,7 +211,7 @@ def describe_use(certificate: Certificate) -> str:
     parts += ["the temperatures named above"] if "temperature" in names else []
     with_more = f"with {' and '.join(parts)}" if parts else "of which no further input is stated"
     if GAIN_DRIFT in list_missing(certificate.forces_in_use):
-        return f"U in use is that of a later force, {with_more}; without the drift of gains, nobody knows until when."
+        return f"U in use is that of a later force, {with_more}; until when is unknown: no drift of gains is stated."
     until = "" if certificate.valid_until is None else f", until {certificate.valid_until}"
     return f"U in use is that of a later force{until}, {with_more}."
 

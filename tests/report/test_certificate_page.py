@@ -131,7 +131,7 @@ def test_both_uncertainties_of_a_force_are_told_apart():
 
 def test_without_a_drift_of_gains_u_in_use_names_no_day_until_which_it_holds():
     said = describe_use(certificate(forces_in_use=(expanded_force(not_stated=[GAIN_DRIFT]),)))
-    assert "without the drift of gains, nobody knows until when" in said
+    assert "until when is unknown: no drift of gains is stated" in said
     assert "2027" not in said
 
 
