@@ -2,8 +2,10 @@
 
 from collections.abc import Iterator
 from dataclasses import dataclass
-from math import hypot, isfinite
+from math import isfinite
 from typing import Final
+
+import numpy as np
 
 from cbsr_qa.analysis.defects.load_cell import describe_cell_limit
 from cbsr_qa.analysis.run.loads import list_neighbours, load_window, mean_force, select_forces
@@ -35,7 +37,8 @@ def check_loads(
 ) -> tuple[tuple[CheckedLoad, ...], tuple[LeftOutLoad, ...]]:
     """Return the held-out loads: those within the stated range, judged by the laboratory's requirement, and the rest.
 
-    All of them count, whether or not the calibration agrees with them.
+    A load lies within the range by its mean force over the steady frames, as the range was set; its error is that of
+    the last of them. All of them count, whether or not the calibration agrees with them.
 
     Parameters
     ----------
@@ -71,16 +74,17 @@ def _read_loads(
         last = window.steady.select(slice(len(window.steady) - 1, None))  # U is that of one frame
         samples, place_mm = phase.channel("force"), (load.load.x_mm, load.load.y_mm)
         reference_N, stderr_N = mean_force(samples, last, load)
+        steady_N, _ = mean_force(samples, window.steady, load)
         why = describe_cell_limit(samples, load)
-        if reference_N is None or stderr_N is None:
+        if reference_N is None or stderr_N is None or steady_N is None:
             why = "no force was recorded"
         elif _has_neighbours(phase, load, record):
             why = "it was pressed together with others"
-        if why or reference_N is None or stderr_N is None:
+        if why or reference_N is None or stderr_N is None or steady_N is None:
             yield LeftOutLoad(phase.name, place_mm, why)
             continue
         (told_N,) = calibration.force(last.voltages, place_mm=place_mm).force_N.tolist()
-        if not _is_within(calibration.issued.validity, reference_N, place_mm):
+        if not _is_within(calibration.issued.validity, steady_N, place_mm):
             yield LeftOutLoad(phase.name, place_mm, "", reference_N, told_N if isfinite(told_N) else None)
             continue
         if not isfinite(told_N):
@@ -89,13 +93,14 @@ def _read_loads(
             )
         settling_s = float(last.time_s[0]) - load.hold_start_s
         count = len(select_forces(samples, last, load))
-        yield _Reading(phase.name, ReferencePress(place_mm, settling_s, reference_N, stderr_N, count), told_N)
+        press = ReferencePress(place_mm, settling_s, reference_N, stderr_N, count, steady_N)
+        yield _Reading(phase.name, press, told_N)
 
 
 def _is_within(validity: Validity, force_N: float, place_mm: tuple[float, float]) -> bool:
     assert validity.force_N is not None
     lowest_N, highest_N = validity.force_N
-    return lowest_N <= force_N <= highest_N and hypot(*place_mm) <= validity.radius_mm
+    return lowest_N <= force_N <= highest_N and float(np.hypot(*place_mm)) <= validity.radius_mm
 
 
 def _has_neighbours(phase: PhaseRecord, load: LoadRecord, record: RunRecord) -> bool:

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from itertools import chain
 from math import hypot, inf, sqrt
 from typing import Final
 
@@ -70,7 +71,8 @@ class ReferencePress:
     Parameters
     ----------
     place_mm, settling_s : stated place, and time of the frame after the press's ramp.
-    force_N, stderr_N, samples : mean of the samples, its standard error, and their number.
+    force_N, stderr_N, samples : mean of the samples over that frame, its standard error, and their number.
+    steady_N : mean over all steady frames, by which the press lies in the calibrated range.
     """
 
     place_mm: Place
@@ -78,6 +80,7 @@ class ReferencePress:
     force_N: float
     stderr_N: float
     samples: int
+    steady_N: float
 
 
 def evaluate_errors(calibration: Calibration, presses: Sequence[ReferencePress]) -> tuple[ExpandedForce, ...]:
@@ -86,7 +89,8 @@ def evaluate_errors(calibration: Calibration, presses: Sequence[ReferencePress])
     CalibrationError as for :func:`evaluate_forces`.
     """
     points = ForcePoints(calibration)
-    for problem in _find_problems(calibration, [one.force_N for one in presses], [one.place_mm for one in presses]):
+    in_range = _find_problems(calibration, [one.steady_N for one in presses], [one.place_mm for one in presses])
+    for problem in chain(in_range, _find_uncovered(calibration, [one.force_N for one in presses])):
         raise CalibrationError(problem, remedy="calibrate again with what covers it")
     expanded = []
     for press in presses:

@@ -8,6 +8,7 @@ from dataclasses import replace
 from datetime import UTC, date, datetime, timedelta
 from types import SimpleNamespace
 
+import numpy as np
 import pytest
 from altered_runs import fill
 from certificates import HOSTILE, laboratory_table
@@ -15,6 +16,7 @@ from certified_runs import STANDARDS, copy_tested, write_recipe, write_station
 from synced import run_of
 
 import cbsr_qa as qa
+from cbsr_qa.analysis.run.loads import load_window, mean_force
 from cbsr_qa.app.certificate.checked_loads import check_loads
 from cbsr_qa.app.certificate.compose import (
     add_months,
@@ -570,6 +572,25 @@ def test_held_out_loads_are_checked_or_named_whatever_the_range(place):
     errors_N = {load.reference_N: load.error_N for load in (*some, *others)}
     assert errors_N == {load.reference_N: load.error_N for load in everything}
     assert all(not load.why and load.reference_N > 2.0 for load in others)
+
+
+@REST
+def test_a_load_that_ends_the_range_is_checked(place):
+    """The range ends at means over the steady frames; the last of them, whose error is stated, has another force."""
+    with open_store(f"sqlite:///{place.database}") as store:
+        run = store.runs.resolve("S-1")
+        record, stored = store.runs.load(run), store.analyses.load(run)[0]
+        file, digest = store.calibrations.load_file(stored.calibration)
+        recipe = judging_recipe(store, run, stored)
+    issued = calibration_of(file, issued=digest)
+    (phase,) = [phase for phase in record.phases if phase.name == "random loads"]
+    for load in phase.loads:
+        steady_N, _ = mean_force(phase.channel("force"), load_window(phase, load, recipe.analysis).steady, load)
+        radius_mm = float(np.hypot(load.load.x_mm, load.load.y_mm))
+        for range_N in ((0.0, steady_N), (steady_N, 100.0)):
+            ends_here = replace(issued.validity, force_N=range_N, radius_mm=radius_mm)
+            checked, _ = check_loads(record, recipe, qa.Calibration(replace(issued, validity=ends_here)), None)
+            assert (load.load.x_mm, load.load.y_mm) in [one.expanded.place_mm for one in checked]
 
 
 def test_months_end_with_the_month():

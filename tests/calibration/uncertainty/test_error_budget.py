@@ -16,7 +16,7 @@ from cbsr_qa.domain.results.calibration import BaselineConductance
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, Result
 
 PLACE = (12.5, -7.0)
-PRESS = ReferencePress(PLACE, 55.0, 3.0, 0.01, 8)
+PRESS = ReferencePress(PLACE, 55.0, 3.0, 0.01, 8, 3.0)
 
 
 @pytest.fixture(scope="module")
@@ -65,7 +65,16 @@ def test_a_hold_unlike_the_calibrated_one_needs_a_kernel(issued, settling_s, is_
 
 def test_an_error_outside_the_range_has_no_uncertainty(issued):
     with pytest.raises(CalibrationError, match="a force of 9 N is outside the calibrated range"):
-        evaluate_errors(issued, [replace(PRESS, force_N=9.0)])
+        evaluate_errors(issued, [replace(PRESS, force_N=9.0, steady_N=9.0)])
+
+
+def test_a_press_lies_in_the_range_by_the_force_that_the_range_is_set_by(issued):
+    _, highest_N = issued.validity.force_N
+    press = replace(PRESS, force_N=highest_N + 0.004, steady_N=highest_N)
+    (error,) = evaluate_errors(issued, [press])
+    assert error.force_N == press.force_N
+    with pytest.raises(CalibrationError, match="is outside the calibrated range"):
+        evaluate_errors(issued, [replace(press, force_N=highest_N, steady_N=highest_N + 0.004)])
 
 
 @pytest.mark.rest
