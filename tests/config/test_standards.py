@@ -141,6 +141,9 @@ def test_what_places_and_reads_is_stated_beside_the_load_cell(read):
         "U = 0.02 mm (k = 2), certificate S-7 of D-K-15002, due 2027-03-31, range 0 to 250 mm, resolution 0.01 mm,"
         " drift at most 0.03 mm a year"
     )
+    assert "range not stated, resolution not stated, drift not stated" in standards[0].all_words()
+    assert "range 10 to 40 °C, resolution not stated" in standards[2].all_words()
+    assert "resolution" not in source_meter.all_words()
     assert source_meter.standard_uncertainty == 0.00025
     assert source_meter.drift_uncertainty(1.0) is None
     assert name_unstated(standards) == ("indenter",)

@@ -120,8 +120,7 @@ class ForceInputs:
             yield "place of indentation"
             return
         u_mm = combine_standard(stage, self.calibration.issued_at)
-        if stage.drift_a_year is None:
-            yield "drift of the stage"
+        yield from name_left_out(stage)
         for axis, slope in zip("xy", point.slope_per_mm.tolist(), strict=True):
             source = f"{stage.words()}; the force changes by {slope:.2%} in 1 mm along {axis}"
             sign = -1.0 if slope < 0 else 1.0
@@ -214,8 +213,8 @@ class ForceInputs:
             return
         if thermometer is None:
             yield "thermometer"
-        elif thermometer.drift_a_year is None:
-            yield "drift of the thermometer"
+        else:
+            yield from name_left_out(thermometer)
         reading_C = 0.0 if thermometer is None else combine_standard(thermometer, self.calibration.issued_at)
         u_C = hypot((measured_C[1] - measured_C[0]) * _OF_WIDTH, reading_C)
         source = f"{per_C.value:.2%} a °C, within {measured_C[0]:.3g} to {measured_C[1]:.3g} °C: {per_C.source}"
@@ -257,6 +256,14 @@ def combine_standard(standard: ReferenceStandard, issued_at: str) -> float:
     return hypot(
         standard.standard_uncertainty, steps, standard.drift_uncertainty(_years_between(standard, issued_at)) or 0.0
     )
+
+
+def name_left_out(standard: ReferenceStandard) -> Iterator[str]:
+    """Yield what :func:`combine_standard` leaves out of a standard with a resolution, as not stated."""
+    if standard.drift_a_year is None:
+        yield f"drift of the {standard.role_words}"
+    if standard.resolution is None:
+        yield f"resolution of the {standard.role_words}"
 
 
 def _years_between(standard: ReferenceStandard, issued_at: str) -> float:

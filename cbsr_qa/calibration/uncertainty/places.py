@@ -13,7 +13,7 @@ from cbsr_qa.calibration.force.template_matching import TemplateFilter
 from cbsr_qa.calibration.uncertainty.budget import Place, list_forces, list_places
 from cbsr_qa.calibration.uncertainty.combination import COVERAGE, BudgetInput, combine
 from cbsr_qa.calibration.uncertainty.force_point import ForcePoints
-from cbsr_qa.calibration.uncertainty.inputs import combine_standard
+from cbsr_qa.calibration.uncertainty.inputs import combine_standard, name_left_out
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.standards import StandardRole, find_standard
@@ -99,8 +99,8 @@ class _PlaceInputs:
             yield "place of indentation", "B", None, "", True
         else:
             u_mm = combine_standard(self._stage, self._issued_at)
-            if self._stage.drift_a_year is None:
-                yield "drift of the stage", "B", None, "", True
+            for name in name_left_out(self._stage):
+                yield name, "B", None, "", True
             yield "place of indentation", "B", u_mm**2 * np.eye(2), self._stage.words(), True
 
 

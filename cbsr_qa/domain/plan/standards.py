@@ -23,6 +23,8 @@ class StandardRole(StrEnum):
     SOURCE_METER = "source_meter"  #: readings per current, of a source meter or a board
 
 
+#: Roles whose readings have steps.
+_SHOW_STEPS: Final = (StandardRole.LOAD_CELL, StandardRole.STAGE, StandardRole.THERMOMETER)
 #: Unit of a role's range and resolution; a head has neither.
 ROLE_UNITS: Final[Mapping[str, str]] = {
     StandardRole.LOAD_CELL: "N",
@@ -105,7 +107,9 @@ class ReferenceStandard:
         parts = [self.words()]
         if self.role in ROLE_UNITS:
             parts.append(f"range {'not stated' if self.range_low is None else self.range_words()}")
-        if self.resolution is not None:
+        if self.resolution is None and self.role in _SHOW_STEPS:
+            parts.append("resolution not stated")
+        elif self.resolution is not None:
             parts.append(f"resolution {self.resolution:g} {ROLE_UNITS[self.role]}")
         return ", ".join([*parts, f"drift {drift}"])
 

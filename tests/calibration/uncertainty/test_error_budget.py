@@ -48,7 +48,11 @@ def test_in_use_a_force_has_the_drift_of_gains_and_temperatures_beyond_the_day_o
     )
     added_N = hypot(parts(use)["temperature"], parts(use)[GAIN_DRIFT])
     assert hypot(day.standard_uncertainty_N, added_N) == pytest.approx(use.standard_uncertainty_N)
-    assert set(use.not_stated) - set(day.not_stated) == {"ageing of the sensor", "drift of the thermometer"}
+    assert set(use.not_stated) - set(day.not_stated) == {
+        "ageing of the sensor",
+        "drift of the thermometer",
+        "resolution of the thermometer",
+    }
 
 
 def test_a_single_sample_tells_no_scatter_of_the_load_cell(issued):

@@ -106,13 +106,15 @@ def test_a_load_cells_certificate_enters_with_drift_since_its_date_and_resolutio
 
 
 @pytest.mark.parametrize("standard", [STAGE, THERMOMETER])
-def test_a_drift_that_is_not_stated_is_named_and_a_stated_one_counts(stated, standard):
-    silent = replace(standard, drift_a_year=None)
+@pytest.mark.parametrize(("key", "name"), [("drift_a_year", "drift"), ("resolution", "resolution")])
+def test_what_a_certificate_does_not_state_is_named_and_what_it_states_counts(stated, standard, key, name):
+    standard = replace(standard, resolution=0.5)
+    silent = replace(standard, **{key: None})
     others = [one for one in stated.standards if one.role != standard.role]
     (less,), (full,) = (
         evaluate_forces(replace(stated, standards=(*others, one)), [2.0], [PLACE]) for one in (silent, standard)
     )
-    assert set(less.not_stated) - set(full.not_stated) == {f"drift of the {standard.role}"}
+    assert set(less.not_stated) - set(full.not_stated) == {f"{name} of the {standard.role}"}
     assert less.standard_uncertainty_N < full.standard_uncertainty_N
 
 
