@@ -18,6 +18,8 @@ _LARGEST_K = 14.0
 #: Largest expanded uncertainty, and drift in a year, relative to the value: with u of a tenth, terms of second order
 #: are a tenth of u.
 _LARGEST_PERCENT: Final = 20.0
+#: Longest interval of calibrations: beyond it, a year is mistyped. Chosen by us.
+_LONGEST_YEARS: Final = 100
 #: Largest share of a range that a step may be: half of a step is then 5 % of the greatest value.
 _LARGEST_STEP: Final = 0.1
 #: Least expanded uncertainties, below what national institutes state for such quantities.
@@ -56,20 +58,28 @@ class _StandardTable(Table):
             yield Problem(("standards", role, "uncertainty"), finding, f"allowed: at least {least:g} {self.unit}")
         if not date.fromisoformat(self.date) < date.fromisoformat(self.due):
             yield Problem(("standards", role, "due"), f"{self.due} is not after the date of calibration, {self.date}")
+        elif int(self.due[:4]) - int(self.date[:4]) > _LONGEST_YEARS:
+            finding = f"is {self.due}, of a calibration on {self.date}"
+            yield Problem(("standards", role, "due"), finding, f"allowed: within {_LONGEST_YEARS} years")
         covered = self._select_by_unit(role, "range")
         if covered is not None and not covered[0] < covered[1]:
             key = f"range_{_SUFFIXES[role]}"
-            yield Problem(("standards", role, key), "is no range; give the lowest and then the highest")
+            finding = f"is {covered[0]:g} to {covered[1]:g} {ROLE_UNITS[role]}, no range"
+            yield Problem(("standards", role, key), finding, "give the lowest and then the highest")
 
     def size_problems(self, role: StandardRole, span: float | None) -> Iterator[Problem]:
         """Yield what is too large for the range, or contradicts the resolution.
 
         Parameters
         ----------
-        span : width of the station's range of this quantity, where the certificate states none; None if unknown.
+        span : width of the station's range of this quantity; None if unknown. Beside the certificate's, the smaller
+            counts; of temperatures the certificate's.
         """
         covered = self._select_by_unit(role, "range")
         width = span if covered is None else covered[1] - covered[0]
+        greatest = span if covered is None else covered[1]
+        if width is not None and greatest is not None and span is not None and role is not StandardRole.THERMOMETER:
+            width, greatest = min(width, span), min(greatest, span)
         whole = 100.0 if self.unit == PERCENT else width
         for key, value in (("uncertainty", self.uncertainty), ("drift_a_year", self.drift_a_year or 0.0)):
             if whole is not None and whole > 0 and value > whole * _LARGEST_PERCENT / 100:
@@ -85,8 +95,7 @@ class _StandardTable(Table):
             finding = f"is {step:g}, of a range of {width:g} {ROLE_UNITS[role]}"
             yield Problem(("standards", role, key), finding, f"allowed: at most {width * _LARGEST_STEP:g}")
             return
-        of_percent = covered[1] if covered is not None else span
-        scale = (0.0 if of_percent is None else of_percent / 100) if self.unit == PERCENT else 1.0
+        scale = (0.0 if greatest is None else greatest / 100) if self.unit == PERCENT else 1.0
         u, of_step = self.uncertainty / self.k * scale, step / sqrt(12)
         if 0 < u < of_step:
             unit = ROLE_UNITS[role]
@@ -164,7 +173,8 @@ class StandardsTable(Table):
         spans : widths of the station's ranges [N, mm, °C], by role.
         """
         for role, table in self.tables():
-            yield from table.size_problems(role, spans.get(role))
+            if {problem.path[-1] for problem in table.problems(role)} <= {"due"}:
+                yield from table.size_problems(role, spans.get(role))
 
     def instrument_problems(self, provided: Collection[str], currents_mA: Mapping[str, float]) -> Iterator[Problem]:
         """Yield certificates of what the station does not measure, or not with such a current.
@@ -179,7 +189,7 @@ class StandardsTable(Table):
             yield Problem(("standards", "thermometer"), finding, "leave it out, or add the thermometer's instrument")
         covered = None if self.source_meter is None else self.source_meter.range_mA
         for name, current_mA in currents_mA.items():
-            if covered is not None and not covered[0] <= current_mA <= covered[1]:
+            if covered is not None and covered[0] < covered[1] and not covered[0] <= current_mA <= covered[1]:
                 finding = (
                     f"is {covered[0]:g} to {covered[1]:g} mA, and instruments.{name}.current_mA {current_mA:g} mA"
                 )
@@ -190,11 +200,13 @@ class StandardsTable(Table):
         if self.indenter is not None and self.indenter.unit == "mm" and head.outline_mm:
             finding = 'is "mm", of a diameter, and the head of the station is not round'
             yield Problem(("standards", "indenter", "unit"), finding, 'give the uncertainty of its area in "%"')
-        elif (
-            self.indenter is not None and self.indenter.unit == "mm" and self.indenter.uncertainty >= head.diameter_mm
-        ):
-            finding = f"is {self.indenter.uncertainty:g} mm, of a head of {head.diameter_mm:g} mm"
-            yield Problem(("standards", "indenter", "uncertainty"), finding, "allowed: less than the diameter")
+        elif self.indenter is not None and self.indenter.unit == "mm":
+            most_mm = head.diameter_mm * _LARGEST_PERCENT / 100
+            for key in ("uncertainty", "drift_a_year"):
+                value_mm = getattr(self.indenter, key) or 0.0
+                if value_mm > most_mm:
+                    finding = f"is {value_mm:g} mm, of a head of {head.diameter_mm:g} mm"
+                    yield Problem(("standards", "indenter", key), finding, f"allowed: at most {most_mm:g} mm")
 
     def temperature_problems(self, allowed_C: Sequence[float] | None) -> Iterator[Problem]:
         """Yield a contradiction with the temperatures that the station allows."""
@@ -202,6 +214,7 @@ class StandardsTable(Table):
         if (
             covered is not None
             and allowed_C is not None
+            and covered[0] < covered[1]
             and not covered[0] <= allowed_C[0] <= allowed_C[1] <= covered[1]
         ):
             finding = f"is {covered[0]:g} to {covered[1]:g} °C, and safety.temperature_C is not within it"

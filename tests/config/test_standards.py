@@ -70,6 +70,11 @@ def test_a_station_without_certificates_states_none(read):
         ),
         ('"%"', '"N"\nrange_N = [0.0, 2.0]', "standards.load_cell.uncertainty is 0.5 N, of a range of 2 N; allowed"),
         ("k = 2", "k = 2\nresolution_N = 0.5", "u = 0.05 N at most, and steps of 0.5 N alone are 0.144 N"),
+        (
+            "k = 2",
+            "k = 2\nrange_N = [0.1, 1e9]\nresolution_N = 1000",
+            "standards.load_cell.resolution_N is 1000, of a range of 20 N; allowed: at most 2",
+        ),
         ("k = 2", "k = 0.5", "standards.load_cell.k is 0.5"),
         ('"K-2026-0711"', '""', "standards.load_cell.certificate is ''"),
         ('"2027-03-31"', '"2026-03-02"', "standards.load_cell.due 2026-03-02 is not after the date of calibration"),
@@ -82,6 +87,30 @@ def test_what_a_certificate_cannot_state_is_refused(read, given, instead, said):
     with pytest.raises(ConfigError) as caught:
         read(_STATED.replace(given, instead))
     assert said in caught.value.reason
+
+
+@pytest.mark.parametrize(
+    ("given", "instead", "key"),
+    [
+        ("k = 2", "k = 2\nrange_N = [20.0, 0.1]\nresolution_N = 0.001", "range_N is 20 to 0.1 N, no range"),
+        ("uncertainty = 0.5", "uncertainty = 1e-300\nresolution_N = 0.01", "uncertainty is 1e-300 %, less than"),
+    ],
+)
+def test_nothing_is_derived_from_a_value_that_is_wrong(read, given, instead, key):
+    with pytest.raises(ConfigError) as caught:
+        read(_STATED.replace(given, instead))
+    assert caught.value.reason.count("standards.load_cell.") == 1
+    assert key in caught.value.reason
+
+
+@pytest.mark.parametrize(("uncertainty_mm", "is_refused"), [(12, True), (2.7, True), (2.5, False)])
+def test_a_diameter_is_known_to_a_fifth(read, uncertainty_mm, is_refused):
+    head = _STATED.replace("load_cell", "indenter").replace('"%"', '"mm"').replace("0.5", str(uncertainty_mm))
+    if not is_refused:
+        assert read(head).standards
+        return
+    with pytest.raises(ConfigError, match=r"uncertainty is .* mm, of a head of 13 mm; allowed: at most 2\.6"):
+        read(head)
 
 
 def test_a_diameter_is_refused_for_a_head_that_is_not_round(read):
@@ -163,9 +192,9 @@ def test_the_drift_of_a_standard_is_a_rectangle_that_grows_from_its_date():
         (_STAGE, 'unit = "mm"', 'unit = "%"', "standards.stage.unit is '%'"),
         (_STAGE, "0.02", "-0.02", "standards.stage.uncertainty is -0.02"),
         (_STAGE, "0.02", "1e-9", "standards.stage.uncertainty is 1e-09 mm, less than national institutes reach"),
-        (_STAGE, "0.02", "60", "standards.stage.uncertainty is 60 mm, of a range of 250 mm; allowed: at most 50 mm"),
+        (_STAGE, "0.02", "60", "standards.stage.uncertainty is 60 mm, of a range of 82 mm; allowed: at most 16.4 mm"),
         (_STAGE, "0.02", "0.001", "standards.stage.uncertainty means u = 0.0005 mm at most, and steps of 0.01 mm"),
-        (_STAGE, "= 0.03", "= 80.0", "standards.stage.drift_a_year is 80 mm, of a range of 250"),
+        (_STAGE, "= 0.03", "= 80.0", "standards.stage.drift_a_year is 80 mm, of a range of 82"),
         (
             _THERMOMETER,
             "k = 2",
@@ -174,9 +203,10 @@ def test_the_drift_of_a_standard_is_a_rectangle_that_grows_from_its_date():
         ),
         (_STAGE, "0.03", "-0.03", "standards.stage.drift_a_year is -0.03"),
         (_STAGE, "resolution_mm = 0.01", "resolution_mm = 0", "standards.stage.resolution_mm is 0"),
-        (_STAGE, "[0.0, 250.0]", "[250.0, 0.0]", "standards.stage.range_mm is no range"),
+        (_STAGE, "[0.0, 250.0]", "[250.0, 0.0]", "standards.stage.range_mm is 250 to 0 mm, no range"),
         (_STAGE, "[0.0, 250.0]", "[250.0]", "standards.stage.range_mm"),
         (_STAGE, "range_mm", "range_N", "standards.stage.range_N"),
+        (_STAGE, "date = 2026-03-02", "date = 1826-03-02", "standards.stage.due is 2027-03-31, of a calibration on"),
         (_THERMOMETER, "°C", "K", "standards.thermometer.unit is 'K'"),
         (_THERMOMETER, "due = 2027-03-31", "", "standards.thermometer.due is missing"),
         (_SOURCE_METER, '"Q-9"', '""', "standards.source_meter.certificate is ''"),
