@@ -237,7 +237,12 @@ class CertificateTable(Table):
     decision: Literal["", "guarded", "simple"] = ""
 
     def problems(self) -> Iterator[Problem]:
-        """A statement of conformity has a requirement and a decision rule."""
+        """A statement of conformity has a requirement that U can be within, and a decision rule."""
+        for key, least, unit in (("max_error_N", 1e-6, "N"), ("max_error_percent", 1e-3, "%")):
+            value = getattr(self, key)
+            if 0 < value < least:
+                finding = f"is {value:g} {unit}, less than any U of a force"
+                yield Problem(("certificate", key), finding, f"allowed: 0, or at least {least:g} {unit}")
         if bool(self.decision) is not (self.max_error_N > 0 or self.max_error_percent > 0):
             finding = "and the maximum permissible error (max_error_N, max_error_percent) are stated together"
             yield Problem(("certificate", "decision"), finding, 'give "guarded" or "simple", or leave out all three')

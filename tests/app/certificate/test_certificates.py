@@ -633,6 +633,8 @@ def test_a_laboratory_may_be_left_out_of_a_station_and_is_checked_in_it(tmp_path
         ),
         ({"signatory": " Ada"}, "certificate.signatory is ' Ada'; it must be one line of 1 to 80 characters"),
         ({"max_error_N": -0.1}, "certificate.max_error_N"),
+        ({"max_error_N": 1e-300}, "certificate.max_error_N is 1e-300 N, less than any U .* at least 1e-06 N"),
+        ({"max_error_percent": 1e-9}, "certificate.max_error_percent is 1e-09 %, less than any U"),
         ({"decision": "hopeful"}, "certificate.decision"),
         ({"max_error_N": 0.0, "max_error_percent": 0.0}, "are stated together"),
     ):
