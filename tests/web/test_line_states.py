@@ -217,7 +217,7 @@ def test_after_a_start_that_came_to_nothing_no_other_sensors_verdict_is_shown(st
     pages = Pages(Line((), str(tmp_path / "runs.db")))
     run = _ended(store, end) if end is EndReason.ABORTED else store_run(store, "S-1", (), verdict=_PASSED)
     look = store.live.find_run(run)
-    names = {"name": "bench", "base": "", "asks_operator": False}
+    names = {"name": "bench", "base": "", "asks_operator": False, "is_simulated": False}
     for serial, verdict in (("S-114", is_shown), (look.serial, True)):
         ended = replace(_snapshot(look, Mode.DONE), starting=serial, refused="Its start was cancelled by Ada.")
         state, card, shown = (pages.fragment(part, s=ended, **names) for part in ("state", "card", "verdict"))
