@@ -99,7 +99,7 @@ def _describe_force(calibration: Calibration) -> Iterator[str]:
         )
         if find_standard(calibration.standards, StandardRole.LOAD_CELL) is not None:
             yield from _describe_expanded(calibration)
-    yield f"{least}, ({x_mm:.3g}, {y_mm:.3g}) mm.".replace("-", "−")
+    yield f"{least}, ({x_mm:z.3g}, {y_mm:z.3g}) mm.".replace("-", "−")
 
 
 def _describe_expanded(calibration: Calibration) -> Iterator[str]:
@@ -123,7 +123,7 @@ def _describe_expanded(calibration: Calibration) -> Iterator[str]:
         x_mm, y_mm = day.place_mm
         yield (
             f"Expanded uncertainty of {force_N:.3g} N: at most U = {day.U_N:#.2g} N (k = {day.k:.2f}, 95 %) on the"
-            f" day of calibration, at ({x_mm:.3g}, {y_mm:.3g}) mm; in use {use.U_N:#.2g} N (k ="
+            f" day of calibration, at ({x_mm:z.3g}, {y_mm:z.3g}) mm; in use {use.U_N:#.2g} N (k ="
             f" {use.k:.2f}). Largest part: {day.components[0].name}."
         ).replace("-", "−")
     yield (

@@ -140,7 +140,7 @@ def _list_reductions(
 ) -> list[str]:
     """Return what reduces the validity: places left out, missing forces, the force model, and unusable readings."""
     reduced = [
-        f"{place.location} at ({place.x_mm:g}, {place.y_mm:g}) mm is left out: {place.why}"
+        f"{place.location} at ({place.x_mm:zg}, {place.y_mm:zg}) mm is left out: {place.why}"
         for place in baseline
         if place.value is None
     ]

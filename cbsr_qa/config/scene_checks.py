@@ -58,7 +58,7 @@ def check_plan(loaded: Loaded[ScenePlan], sensor_type: SensorType) -> None:
 def edge_remarks(plan: ScenePlan, sensor_type: SensorType) -> dict[int, str]:
     """Remark on loads (numbered from 0) whose head is partly over the sheet's edge."""
     return {
-        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at ({load.x_mm:g}, {load.y_mm:g}) mm is"
+        index: f"loads[{index + 1}]: the head ({plan.indenter.words()}) at ({load.x_mm:zg}, {load.y_mm:zg}) mm is"
         " partly over the sheet's edge; only what lies on the sheet is pressed"
         for index, load in enumerate(plan.loads)
         if _is_over_edge(plan.indenter, load, sensor_type)

@@ -256,4 +256,5 @@ def _compare_with_random_numbers(certificate: Certificate) -> Iterator[str]:
 
 def name_place(place_mm: tuple[float, float]) -> str:
     """Return a place from the centre of the sheet [mm], e.g. ``(−12.5, 3.0)``."""
-    return "({:.1f}, {:.1f})".format(*place_mm).replace("-", "−")
+    x_mm, y_mm = place_mm
+    return f"({x_mm:z.1f}, {y_mm:z.1f})".replace("-", "−")

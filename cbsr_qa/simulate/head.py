@@ -234,7 +234,7 @@ class SimulatedHead:
         x_mm, y_mm = self._place
         return InstrumentError(
             self._role,
-            f"({x_mm:g}, {y_mm:g}) mm",
+            f"({x_mm:zg}, {y_mm:zg}) mm",
             reason,
             remedy="check whether a sheet is in place; a simulated one needs the effect 'elastic-stress'",
         )

@@ -147,7 +147,7 @@ class SimulatedSheet:
             covered, weight = cover_by_nested_outlines(elements, largest, place, sizes, weights), 1.0
         if not covered.elements.size:
             raise RefusedError(
-                f"a head of radius {head.reach_mm:g} mm at ({place[0]:g}, {place[1]:g}) mm is outside the sheet",
+                f"a head of radius {head.reach_mm:g} mm at ({place[0]:zg}, {place[1]:zg}) mm is outside the sheet",
                 remedy=f"the sheet {self.sensor_type.outline.words()}",
             )
         response = weight * self.design.response_at(self.mesh.centroids_mm[covered.elements])

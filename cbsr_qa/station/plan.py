@@ -104,7 +104,7 @@ def describe(step: Step) -> str:
     description = _DESCRIPTIONS.get(type(step), f"an unknown step ({type(step).__name__})")
     match step:
         case FindSurface(x_mm=x_mm, y_mm=y_mm):
-            description = f"finding the surface at ({x_mm:g}, {y_mm:g}) mm"
+            description = f"finding the surface at ({x_mm:zg}, {y_mm:zg}) mm"
         case Press(load=load):
             description = f"pressing {describe_load(load)}"
         case StrainStep(strain=strain):
@@ -129,7 +129,7 @@ def _describe_hold(hold: Hold) -> str:
 def describe_load(load: Load) -> str:
     """Describe a load: label, place, strain and trial."""
     trial = f", trial {load.trial + 1}" if load.trial else ""
-    return f"{load.label} at ({load.x_mm:g}, {load.y_mm:g}) mm to {100 * load.strain:g} %{trial}"
+    return f"{load.label} at ({load.x_mm:zg}, {load.y_mm:zg}) mm to {100 * load.strain:g} %{trial}"
 
 
 def duration(seconds: float) -> str:

@@ -122,7 +122,7 @@ class RunProgress:
         load, force_N, percent = now.load, now.force_N, self._noise.percent
         figures = []
         if load is not None:
-            place = f"{load.label} at ({load.x_mm:g}, {load.y_mm:g}) mm"
+            place = f"{load.label} at ({load.x_mm:zg}, {load.y_mm:zg}) mm"
             figures.append(f"press {load.number} of {load.of}, {place}")
         if force_N is not None:
             figures.append(f"{round(force_N, 2) + 0.0:.2f} N")  # no minus before zero

@@ -72,7 +72,7 @@ def fit_plane(depths_mm: dict[Place, float], tolerance_mm: float) -> Plane:
     if off_mm.max() > tolerance_mm:
         x, y = places[int(off_mm.argmax())]
         raise _make_plane_error(
-            f"the surface at ({x:g}, {y:g}) mm is {off_mm.max():.2g} mm off it; surface_tolerance_mm is"
+            f"the surface at ({x:zg}, {y:zg}) mm is {off_mm.max():.2g} mm off it; surface_tolerance_mm is"
             f" {tolerance_mm:g}",
             'press this sheet with surface = "each"',
         )
@@ -191,7 +191,7 @@ class SheetSurface:
             if contact_mm is not None:
                 self._late_mm.append(contact_mm)
             return ""
-        where = f"the press at ({place_mm[0]:g}, {place_mm[1]:g}) mm"
+        where = f"the press at ({place_mm[0]:zg}, {place_mm[1]:zg}) mm"
         if contact_mm is None:
             return f"too few forces tell where {where} met the sheet: its surface is found"
         off_mm = contact_mm - (float(np.mean(self._late_mm)) if self._late_mm else 0.0)
@@ -202,7 +202,7 @@ class SheetSurface:
 
 
 def _make_line_error(places_mm: Sequence[Place]) -> InstrumentError:
-    where = ", ".join(f"({x:g}, {y:g})" for x, y in places_mm)
+    where = ", ".join(f"({x:zg}, {y:zg})" for x, y in places_mm)
     return _make_plane_error(f"the places {where} mm lie in a line", "touch three places that do not")
 
 

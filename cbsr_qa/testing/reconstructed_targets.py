@@ -184,4 +184,4 @@ def _image_with(prepared: PreparedReconstruction, masked: Mask, value: float) ->
 
 
 def _mm(place: Array) -> str:
-    return f"({place[0]:.1f}, {place[1]:.1f}) mm"
+    return f"({place[0]:z.1f}, {place[1]:z.1f}) mm"

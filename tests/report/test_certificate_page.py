@@ -17,6 +17,7 @@ from cbsr_qa.report.certificate_texts import (
     describe_traceability,
     describe_use,
     list_remarks,
+    name_place,
     state_conformity,
 )
 
@@ -297,3 +298,8 @@ def test_a_certificate_prints_on_two_sides_and_nothing_overlaps(browser, made):
         assert lowest <= footer
     assert len(re.findall(rb"/Type\s*/Page\b", page.pdf(prefer_css_page_size=True))) == 2
     page.close()
+
+
+def test_no_place_has_a_negative_zero():
+    assert name_place((-0.0, -0.04)) == "(0.0, 0.0)"
+    assert name_place((-12.5, 0.04)) == "(−12.5, 0.0)"

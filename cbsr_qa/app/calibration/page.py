@@ -130,7 +130,7 @@ def _force(shown: ShownCalibration) -> Iterator[str]:
     x, y = force.least_force_worst_at_mm
     yield (
         f"Least force that one frame detects: {force.least_force_centre_N:.2g} N at the centre,"
-        f" {force.least_force_worst_N:.2g} N at the worst place, ({x:.3g}, {y:.3g}) mm."
+        f" {force.least_force_worst_N:.2g} N at the worst place, ({x:z.3g}, {y:z.3g}) mm."
     )
     least, most = force.stress_kPa
     yield f"Learned from loads of {least:.3g} to {most:.3g} kPa, {force.hold_s:.3g} s after the press."

@@ -128,6 +128,6 @@ def reading_reductions(pattern: DrivePattern, usable: Mask) -> Iterator[str]:
 
 def _name_loads(loads: Sequence[LoadObservation]) -> str:
     presses = [load.record.load for load in loads[:_MAX_NAMED_LOADS]]
-    named = [f"{press.label} at ({press.x_mm:g}, {press.y_mm:g}) mm, trial {press.trial}" for press in presses]
+    named = [f"{press.label} at ({press.x_mm:zg}, {press.y_mm:zg}) mm, trial {press.trial}" for press in presses]
     others_named = f" and {len(loads) - _MAX_NAMED_LOADS} more" if len(loads) > _MAX_NAMED_LOADS else ""
     return ", ".join(named) + others_named

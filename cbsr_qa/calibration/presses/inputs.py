@@ -232,7 +232,7 @@ def _refuse_outside(presses: PressTable, outside: Mask, outline: SheetOutline) -
     if not rows.size:
         return
     row_list = "; ".join(
-        f"row {row + 1}, columns x_mm and y_mm: ({x:g}, {y:g}) mm"
+        f"row {row + 1}, columns x_mm and y_mm: ({x:zg}, {y:zg}) mm"
         for row, (x, y) in zip(rows[:_MOST_NAMED], presses.place_mm[rows[:_MOST_NAMED]], strict=True)
     )
     raise RecordingError(

@@ -121,7 +121,7 @@ def check_places(place_mm: Array) -> None:
     different = np.unique(place_mm, axis=0)
     if len(different) == 1:
         raise NumericsError(
-            f"all {len(place_mm)} presses are at one place, ({different[0, 0]:g}, {different[0, 1]:g}) mm",
+            f"all {len(place_mm)} presses are at one place, ({different[0, 0]:zg}, {different[0, 1]:zg}) mm",
             remedy="press at places all over the sheet",
         )
     if len(different) < FEWEST_PLACES:

@@ -166,7 +166,7 @@ def _find_problems(calibration: Calibration, forces_N: Sequence[float], places_m
     for x_mm, y_mm in places_mm:
         if not hypot(x_mm, y_mm) <= calibration.validity.radius_mm + _ROUNDING_MM:
             reach = f"within {calibration.validity.radius_mm:.3g} mm of the centre"
-            yield f"({x_mm:g}, {y_mm:g}) mm is outside the calibrated area, {reach}"
+            yield f"({x_mm:zg}, {y_mm:zg}) mm is outside the calibrated area, {reach}"
     yield from _find_uncovered(calibration, forces_N)
 
 

@@ -119,7 +119,7 @@ class ForcePoints:
         if not (np.isfinite(template).all() and np.isfinite(strength) and strength != 0):
             x_mm, y_mm = place_mm
             raise CalibrationError(
-                f"({x_mm:g}, {y_mm:g}) mm with {force_N:g} N is outside what this calibration knows",
+                f"({x_mm:zg}, {y_mm:zg}) mm with {force_N:g} N is outside what this calibration knows",
                 remedy="state a place and a force within its range of use",
             )
         mapped = interpolate(self.model, self._inverse.tables, places_mm)[0]

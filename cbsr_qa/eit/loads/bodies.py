@@ -71,7 +71,7 @@ class StripModel:
         model = ForwardModel(mesh, pattern, np.ones(len(mesh.elements)), contact, order=2)
         covered = cover(model.elements, indenter.footprint_at(*place_mm))
         if not covered.elements.size:
-            raise NumericsError(f"the head at ({place_mm[0]:g}, {place_mm[1]:g}) mm does not touch the strip")
+            raise NumericsError(f"the head at ({place_mm[0]:zg}, {place_mm[1]:zg}) mm does not touch the strip")
         update = LocalUpdate(model)
         resistance = [
             update.voltages(covered.elements, covered.change(model.conductance, float(change)))[0, 0]

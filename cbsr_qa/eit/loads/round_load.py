@@ -176,8 +176,8 @@ class RoundLoadModel:
         if bad_loads.size:
             x_mm, y_mm = loads.place_mm[bad_loads[0]].tolist()
             raise NumericsError(
-                f"a load at ({x_mm:g}, {y_mm:g}) mm has its centre on an electrode or off the sheet: its field has no"
-                " power series",
+                f"a load at ({x_mm:zg}, {y_mm:zg}) mm has its centre on an electrode or off the sheet: its field has"
+                " no power series",
                 remedy="press clear of the electrodes, or use a mesh",
             )
 

@@ -304,7 +304,7 @@ def _edges_at(place: ElectrodeAt, number: int, mesh: Mesh, boundary: Indices) ->
     covered_mm = float(np.hypot(*(mesh.nodes_mm[covered_edges[:, 1]] - mesh.nodes_mm[covered_edges[:, 0]]).T).sum())
     if covered_mm >= _LEAST_COVERED * place.width_mm:
         return covered_edges
-    electrode_name = f"electrode {number} at ({place.x_mm:g}, {place.y_mm:g}) mm"
+    electrode_name = f"electrode {number} at ({place.x_mm:zg}, {place.y_mm:zg}) mm"
     edge_vectors = ends[:, 1] - ends[:, 0]
     share = np.clip(((centre_mm - ends[:, 0]) * edge_vectors).sum(axis=1) / (edge_vectors**2).sum(axis=1), 0, 1)
     distance_mm = float(np.hypot(*(centre_mm - ends[:, 0] - share[:, None] * edge_vectors).T).min())

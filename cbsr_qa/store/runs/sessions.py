@@ -177,13 +177,13 @@ def _stands(connection: Connection, run: str) -> tuple[str, str]:
 def _words(step: dict[str, Any]) -> str:
     match step:
         case {"step": "Press", "load": {"label": label, "x_mm": x, "y_mm": y, "strain": strain, "trial": trial}}:
-            return f"press {label} at ({x:g}, {y:g}) mm to {100 * strain:g} %, trial {trial + 1}"
+            return f"press {label} at ({x:zg}, {y:zg}) mm to {100 * strain:g} %, trial {trial + 1}"
         case {"step": "Ease", "strain": strain}:
             return f"ease to {100 * strain:g} %"
         case {"step": "Hold" | "Settle", "hold_s": hold_s}:
             return f"hold for {hold_s:g} s"
         case {"step": "FindSurface" | "TouchPlane", "x_mm": x, "y_mm": y}:
-            return f"find the surface at ({x:g}, {y:g}) mm"
+            return f"find the surface at ({x:zg}, {y:zg}) mm"
         case {"step": "AcquireFrames", "count": count}:
             return f"take {count} frames"
         case _:
