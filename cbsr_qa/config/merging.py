@@ -14,6 +14,7 @@ from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.filling import fill_from_mapping, find_odd_value
 from cbsr_qa.domain.plan.batch_model import KeptBatch
 from cbsr_qa.domain.plan.plan import Recipe, Scene, Station
+from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.system.foreign import read_foreign
@@ -80,13 +81,15 @@ def merge(
     Raises
     ------
     ConfigError
-        If a scene an instrument refers to is missing or wrong.
+        If a scene an instrument refers to is missing or wrong, or its current is outside the range of the station's
+        certificate of the source meter.
     """
     scenes = {
         instrument.role: load_scene(name, plugins, near=station.folder)
         for instrument in station.value.instruments
         if (name := instrument.options.get("scene")) is not None
     }
+    _check_currents(station.value, scenes)
     emulated = station.value.emulated_scene
     world = None if emulated is None else load_scene(emulated, plugins, near=station.folder)
     content = {
@@ -108,6 +111,18 @@ def merge(
         canonical_json(content),
         *_sensor_rules(sensor_type.document.data),
     )
+
+
+def _check_currents(station: Station, scenes: Mapping[str, Loaded[Scene]]) -> None:
+    meter = find_standard(station.standards, StandardRole.SOURCE_METER)
+    for role, scene in scenes.items():
+        current_mA = 1e3 * scene.value.current_A
+        if meter is not None and not meter.covers(round(current_mA, 9)):
+            raise ConfigError(
+                f"standards.source_meter.range_mA of station {station.name} is {meter.range_words()}, and the scene"
+                f" of instruments.{role} drives {current_mA:g} mA",
+                remedy="state the certificate that covers it, or drive a current that it covers",
+            )
 
 
 def restore(canonical: str) -> Configuration:

@@ -115,3 +115,18 @@ def test_kinds_have_names_for_messages():
     files = ["station", "recipe", "sensor type", "material", "scene"]
     named = [*files, "gauge study", "limits", "reference values", "standards", "certificate settings"]
     assert [kind.noun for kind in DocumentKind] == named
+
+
+@pytest.mark.parametrize(
+    ("range_mA", "is_covered"), [("[0.1, 0.4]", True), ("[0.4, 1.0]", True), ("[50, 100]", False)]
+)
+def test_the_current_of_a_scene_is_one_that_the_certificate_covers(tmp_path, range_mA, is_covered):
+    certificate = 'certificate = "Q-9"\nlaboratory = "L"\ndate = 2026-03-02\ndue = 2027-03-31'
+    stated = f'{certificate}\nuncertainty = 0.05\nk = 2\nunit = "%"\nrange_mA = {range_mA}'
+    text = load_station("simulated").document.text
+    (tmp_path / "mine.toml").write_text(f"{text}\n[standards.source_meter]\n{stated}\n")
+    if is_covered:
+        assert merged(str(tmp_path / "mine.toml")).station.standards
+        return
+    with pytest.raises(ConfigError, match=r"range_mA .* is 50 to 100 mA, and the scene of .* drives 0\.4 mA"):
+        merged(str(tmp_path / "mine.toml"))
