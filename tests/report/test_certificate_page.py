@@ -58,7 +58,8 @@ def test_the_page_states_what_a_certificate_must():
         f"Recipe short SHA-256 of the recipe {64 * 'd'}",
         f"{one.calibration} SHA-256 of its content {64 * 'c'}",
         "22.4 °C to 23.1 °C",
-        "load cell U = 0.2 % (k = 2), certificate K-7 of D-K-1, due 2027-03-31, range not stated, drift not stated",
+        "load cell U = 0.2 % (k = 2), certificate K-7 of D-K-1, due 2027-03-31, range not stated,"
+        " resolution not stated, drift not stated",
         "indenter not stated",
         "The results relate only to the item named above",
         "may be reproduced only in full",
