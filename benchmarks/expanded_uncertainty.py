@@ -204,7 +204,8 @@ def _read_presses(
     stderr_N = samples_N.std(axis=1, ddof=1) / np.sqrt(_SAMPLES)
     read = np.column_stack([stated_mm, samples_N.mean(axis=1), stderr_N]).tolist()
     return [
-        ReferencePress((x_mm, y_mm), settling_s, mean_N, error_N, _SAMPLES) for x_mm, y_mm, mean_N, error_N in read
+        ReferencePress((x_mm, y_mm), settling_s, mean_N, error_N, _SAMPLES, steady_N=mean_N)
+        for x_mm, y_mm, mean_N, error_N in read
     ]
 
 
