@@ -17,7 +17,7 @@ from playwright.sync_api import Page, expect, sync_playwright
 PICTURES = Path(__file__).parents[1] / "how-to" / "pictures"
 RUN_MS = 300_000
 #: One of the later places, and time for the sheet to answer.
-LATER_PLACE = re.compile(r"Place [4-8] of")
+LATER_PLACE = re.compile(r"Press ([7-9]|1[01]) of 23")
 ANSWER_MS = 800
 #: Shipped recipe, and its limit of the overlap as in the recipe of the picture of a failed sensor.
 RECIPE = Path(__file__).parents[2] / "stations" / "recipes" / "nine-locations.toml"
