@@ -44,6 +44,7 @@ ALLOWED: dict[tuple[str, str], tuple[int, str]] = {
     ("cbsr_qa/app/reanalyse/judging.py", "json.loads"): (3, DATABASE),
     ("cbsr_qa/app/reanalyse/reanalysis.py", "json.loads"): (2, DATABASE),
     ("cbsr_qa/app/reanalyse/work.py", "json.loads"): (2, DATABASE),
+    ("cbsr_qa/app/run/control.py", "_confirmation(run, session_at).read_text"): (1, OWN),
     ("cbsr_qa/app/run/decided_again.py", "json.loads"): (1, DATABASE),
     ("cbsr_qa/app/station_check/bench.py", "look.open"): (1, NOT_A_FILE),
     ("cbsr_qa/calibration/file/hdf5.py", "h5py.File"): (2, MEMORY),
