@@ -81,6 +81,7 @@ def _conclude(
         record = store.runs.load_with_file_check(run)
     recipe, history, threads = configuration.recipe, store.changes.read_history(record), threading.enumerate()
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
+    failed_before = store.lists.read_failed_before(run)  # before plugins, which may leave no file to open
     conclusion = evaluate_run(record, recipe, plugins, stages, standards=configuration.station.standards)
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)
@@ -119,7 +120,7 @@ def _conclude(
         history=history,
         sensor_history=sensor_history,
         coded=recipe.failure_codes,
-        failed_before=store.lists.read_failed_before(run),
+        failed_before=failed_before,
     )
     store.analyses.save(result)
     resume = "" if record.end is EndReason.FINISHED else resume_command(run, store)
