@@ -35,7 +35,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.plugin.discovery import Plugins, discover
 from cbsr_qa.plugin.software import software_versions
 from cbsr_qa.station.setup import configure
-from cbsr_qa.store import opening
+from cbsr_qa.store import engine as engines
 from cbsr_qa.store.engine import open_engine, parse_url, writing
 from cbsr_qa.store.opening import check_usable, open_existing, open_store
 from cbsr_qa.store.repository import Repository
@@ -89,7 +89,7 @@ class Line:
         """Everything that ``cbsr-qa run`` asks and writes from the first look at the database to the first row."""
         self._runs += 1
         serial = self._serial()
-        opening._engine_of_server.cache_clear()  # a run is a process of its own, which knows no server yet
+        engines._engine_of_server.cache_clear()  # a run is a process of its own, which knows no server yet
         check_usable(self.url)
         with open_existing(self.url) or nullcontext() as earlier:
             if earlier is not None:

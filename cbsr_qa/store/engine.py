@@ -2,10 +2,12 @@
 
 import os
 import sqlite3
+from collections import Counter
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
+from threading import Lock
 from typing import Any, Final
 
 from sqlalchemy import (
@@ -47,6 +49,11 @@ _PATIENCE: Final = {
     "keepalives_interval": 10,
     "tcp_user_timeout": 60_000,
 }
+
+#: How many use the engine of a server, by URL and process. One that disposed it for all would leave open the
+#: connections that others had taken from it.
+_USERS: Final[Counter[tuple[URL, int]]] = Counter()
+_COUNTING: Final = Lock()
 
 _DRIVERS = {"sqlite": "sqlite", "postgresql": "postgresql+psycopg"}
 
@@ -117,6 +124,36 @@ def open_engine(url: URL, *, durable: bool = True) -> Engine:
     else:
         event.listen(engine, "connect", _disable_compiler)
     return engine
+
+
+@cache
+def _engine_of_server(url: URL, process: int) -> Engine:
+    """Return the engine of a server, one a process: it keeps the server's settings and compiled statements."""
+    return open_engine(url)
+
+
+def use_engine(url: URL, *, durable: bool = True) -> Engine:
+    """Return an engine to be given back to :func:`leave_engine`; see :func:`open_engine`.
+
+    A run opens its database several times, also while it is open: on a server all share one engine.
+    """
+    if url.get_backend_name() == "sqlite":
+        return open_engine(url, durable=durable)
+    engine = _engine_of_server(url, os.getpid())
+    with _COUNTING:
+        _USERS[url, os.getpid()] += 1
+    return engine
+
+
+def leave_engine(engine: Engine) -> None:
+    """Close an engine's connections, unless somebody else in this process uses it."""
+    with _COUNTING:
+        user = engine.url, os.getpid()
+        _USERS[user] -= 1
+        if _USERS[user] > 0:
+            return
+        del _USERS[user]
+    engine.dispose()
 
 
 def _keep_connection(context: ExceptionContext) -> None:

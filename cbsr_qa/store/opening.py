@@ -1,15 +1,11 @@
 """Open a database that is up to date, or say why it cannot be used."""
 
-import os
 from collections.abc import Callable
 from datetime import datetime
-from functools import cache
-
-from sqlalchemy import URL, Engine
 
 from cbsr_qa.store import schema
 from cbsr_qa.store.chain.links import KEY_OPTION, SigningKey
-from cbsr_qa.store.engine import open_engine, parse_url
+from cbsr_qa.store.engine import leave_engine, open_engine, parse_url, use_engine
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.clock import RealClock
 
@@ -60,18 +56,18 @@ def _open(
     tell: Callable[[str], None] | None = None,
 ) -> Repository | None:
     key = SigningKey.from_environment()
-    engine = _engine(url, durable=durable).execution_options(**{KEY_OPTION: key})
+    engine = use_engine(parse_url(url), durable=durable).execution_options(**{KEY_OPTION: key})
     try:
         version = schema.read_version(engine)
         if version.age is schema.Age.EMPTY:
             if not create:
-                engine.dispose()
+                leave_engine(engine)
                 return None
             schema.upgrade(engine, tell=tell)
         elif version.age is not schema.Age.CURRENT:
             raise schema.refusal(engine, version)
     except BaseException:
-        engine.dispose()
+        leave_engine(engine)
         raise
     return Repository(engine, wall or RealClock().wall)
 
@@ -84,27 +80,11 @@ def check_usable(url: str) -> None:
     StoreError
         If it cannot be reached or written, is of another version, or is another program's.
     """
-    engine = _engine(url)
+    engine = use_engine(parse_url(url))
     try:
         version = schema.read_version(engine)
         if version.age not in (schema.Age.EMPTY, schema.Age.CURRENT):
             raise schema.refusal(engine, version)
         schema.check_writable(engine, version)
     finally:
-        engine.dispose()
-
-
-def _engine(url: str, *, durable: bool = True) -> Engine:
-    parsed = parse_url(url)
-    if parsed.get_backend_name() == "sqlite":
-        return open_engine(parsed, durable=durable)
-    return _engine_of_server(parsed, os.getpid())
-
-
-@cache
-def _engine_of_server(url: URL, process: int) -> Engine:
-    """Return the engine of a server, one a process: it keeps the server's settings and compiled statements.
-
-    A run opens its database several times; its connections are closed each time.
-    """
-    return open_engine(url)
+        leave_engine(engine)

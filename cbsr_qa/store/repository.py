@@ -15,7 +15,7 @@ from cbsr_qa.store.chain.links import KEY_OPTION
 from cbsr_qa.store.changes import Changes
 from cbsr_qa.store.chart_references import ChartReferences
 from cbsr_qa.store.damage import address, name_database, translate_errors
-from cbsr_qa.store.engine import parse_url, reading, sqlite_file
+from cbsr_qa.store.engine import leave_engine, parse_url, reading, sqlite_file
 from cbsr_qa.store.locks import Claims
 from cbsr_qa.store.results.analyses import Analyses
 from cbsr_qa.store.runs.journal import Journal
@@ -155,7 +155,7 @@ class Repository:
         self.close()
 
     def close(self) -> None:
-        self._engine.dispose()
+        leave_engine(self._engine)
 
     @property
     def shown(self) -> str:
