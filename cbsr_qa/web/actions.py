@@ -110,7 +110,7 @@ class Actions:
         if not scanned or "=" in scanned:
             return _json_answer(words=words, fields={"serial": form.get("checked", "")}, refused=True)
         wrong = find_wrong_field(form)
-        gate = self._pages.misstated(station, scanned, wrong) if wrong else ""
+        gate = self._pages.render_wrong_field(station, scanned, wrong) if wrong else ""
         parts = [["gate", gate], ["refused", ""], *self._scan_parts(station, scanned, None)]
         if wrong:
             return _json_answer(parts=parts, wrong={wrong: words})

@@ -28,7 +28,16 @@ from cbsr_qa.web.texts import refusal_words, text
 
 _KINDS: Final = {"css": "text/css", "js": "text/javascript", "svg": "image/svg+xml", "png": "image/png"}
 #: Files of the package that are served, read once.
-_STATIC: Final = ("line.css", "line.js", "sound.js", "icon.svg", "none.png")
+STATIC: Final = (
+    "bursts.js",
+    "icon.svg",
+    "line.css",
+    "line.js",
+    "marks.js",
+    "none.png",
+    "operators.js",
+    "sound.js",
+)
 T = TypeVar("T")
 _RUN: Final = re.compile(r"[0-9a-f-]{36}")
 
@@ -95,7 +104,7 @@ class Site:
         self._line, self._pages, self._access = line, pages, access
         self._looker_threads = CapacityLimiter(_LOOKER_THREADS)
         folder = files(__package__).joinpath("static")
-        self._static = {name: folder.joinpath(name).read_bytes() for name in _STATIC}
+        self._static = {name: folder.joinpath(name).read_bytes() for name in STATIC}
 
     def guard_page(self, endpoint: Endpoint) -> Endpoint:
         """Return an endpoint for viewers; others are asked to sign in, and a token in the address signs in."""

@@ -102,9 +102,10 @@ def _read_earlier(database: str | None, wanted: StartForm) -> tuple[RunLook | No
         find = store.live.find_latest_of_sensor
         earlier = find(wanted.serial, wanted.recipe.name) or find(wanted.serial)
         runs = store.lists.count_runs(RunSelection(serials=(wanted.serial,)))
-        listed = () if earlier is None else store.lists.read_named([earlier.run])
-        codes = [code for run in listed if run.verdict is Outcome.FAIL for code in run.failure_codes]
-        return earlier, runs, choose_disposition(codes)
+        if earlier is None or earlier.verdict is not Outcome.FAIL:
+            return earlier, runs, ""
+        (listed,) = store.lists.read_named([earlier.run])
+        return earlier, runs, choose_disposition(listed.failure_codes)
 
 
 def read_latest(database: str | None, serial: str) -> RunLook | None:

@@ -175,15 +175,16 @@ def report_address(run: str, measurement: Measurement) -> str:
     return f"/runs/{run}/report#:~:text={label},-{phase}&text={label}"
 
 
-def measured_words(measurement: Measurement) -> str:
-    """Return the value of a judged measurement and how far it is from its nearer bound: ``71.5 %, 3.5 % below …``."""
+def describe_measured(measurement: Measurement) -> str:
+    """Return the value of a judged measurement and how far it is from its nearer bound."""
     value_words, limit, value = value_cell(measurement, unit=True).text, measurement.limit, measurement.value
     if limit is None or value is None:
         return value_words
     margin = limit.margin(value)
     below = limit.lower is not None and value < limit.lower
     side = "limit.inside" if margin >= 0 else "limit.below" if below else "limit.above"
-    return f"{value_words}, {text(side, by=quantity(abs(margin), measurement.unit))}"
+    unit = "percentage points" if measurement.unit == "%" else measurement.unit  # 3.5 % of what?
+    return f"{value_words}, {text(side, by=quantity(abs(margin), unit))}"
 
 
 def number(value: float, digits: int) -> str:
@@ -235,7 +236,7 @@ def _environment() -> Environment:
         "picture_address": picture_address,
         "number": number,
         "limit_text": limit_text,
-        "measured_words": measured_words,
+        "describe_measured": describe_measured,
         "report_address": report_address,
     }
     return environment
@@ -296,7 +297,7 @@ class Pages:
         """Render the answers of the gate on a sensor before its run."""
         return self.fragment("gate", base=_base(station), request=wanted, view=view)
 
-    def misstated(self, station: str, serial: str, field: str) -> str:
+    def render_wrong_field(self, station: str, serial: str, field: str) -> str:
         """Render that a sensor was scanned with a field of the form that is wrong."""
         return self.fragment("misstated", base=_base(station), serial=serial, field=text(f"station.{field}"))
 

@@ -116,7 +116,7 @@ def _actions(served, database, *, elsewhere=None):
     gate = SimpleNamespace(
         gate=lambda station, form, view: f"{form.serial}: {form.batch} {', '.join(map(str, form.parts))}",
         render_scan=lambda _, serial, view: f"{serial} may start" if view else f"{serial} cannot start",
-        misstated=lambda _, serial, field: f"{serial}: {field} is wrong",
+        render_wrong_field=lambda _, serial, field: f"{serial}: {field} is wrong",
         idle_parts=lambda _: [["state", "as before"]],
     )
     return Actions(line, gate)

@@ -8,6 +8,8 @@ import pytest
 from command import cbsr_qa
 from served_line import TOKEN
 
+from cbsr_qa.web.application import STATIC
+
 _SIGNED = {"Authorization": f"Bearer {TOKEN}"}
 _FORM = {"Content-Type": "application/x-www-form-urlencoded"}
 
@@ -73,7 +75,7 @@ def test_hostile_serials_are_refused_with_what_is_allowed(line, serial):
 
 def test_the_first_view_is_small_and_complete(line):
     page = _ask(line, "GET", "/stations/bench-1")[1]
-    own = [_ask(line, "GET", f"/static/{name}")[1] for name in ("line.css", "line.js", "sound.js", "icon.svg")]
+    own = [_ask(line, "GET", f"/static/{name}")[1] for name in STATIC]
     assert sum(map(len, [page, *own])) < 300_000
     assert "style=" not in page
     assert "<script>" not in page

@@ -20,7 +20,7 @@ from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import Place
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
-from cbsr_qa.web.pages import Pages, band_kind, band_words, measured_words, minutes_left, progress_words, size_of
+from cbsr_qa.web.pages import Pages, band_kind, band_words, describe_measured, minutes_left, progress_words, size_of
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, control_of, mode_of
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
@@ -256,11 +256,11 @@ def test_station_card_and_verdict_say_whether_the_bench_is_simulated(store, tmp_
 @pytest.mark.parametrize(
     ("value", "words"),
     [
-        (71.5, "71.5 %, 3.5 % below the limit"),
-        (93.0, "93.0 %, 3.0 % above the limit"),
-        (80.0, "80.0 %, 5.0 % inside the limit"),
+        (71.5, "71.5 %, 3.50 percentage points below the limit"),
+        (93.0, "93.0 %, 3.00 percentage points above the limit"),
+        (80.0, "80.0 %, 5.00 percentage points inside the limit"),
     ],
 )
 def test_a_value_is_said_with_its_distance_from_the_limit(value, words):
     judged = Measurement("area_overlap", value, "%").judge(Limit("area_overlap", "%", 75.0, 90.0))
-    assert measured_words(judged).replace("\N{NO-BREAK SPACE}", " ") == words
+    assert describe_measured(judged).replace("\N{NO-BREAK SPACE}", " ") == words

@@ -161,7 +161,7 @@ def test_enter_in_the_name_of_who_confirms_confirms_nothing(page, stations, look
 
 def _scanned(stations, serial):
     """The answer to a check of a sensor with a field that is wrong."""
-    return {"parts": [["gate", stations.pages.misstated("line-1", serial, "parts")], ["verdict", ""]]}
+    return {"parts": [["gate", stations.pages.render_wrong_field("line-1", serial, "parts")], ["verdict", ""]]}
 
 
 def test_a_field_is_checked_when_it_is_left_and_its_error_goes_with_the_next_key(page, stations):

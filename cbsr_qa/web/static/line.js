@@ -1,5 +1,8 @@
 // Shows what the server sends, and sends what the operator asks for. Without it the pages are still readable.
 
+import { followBurst, takeBurst } from "./bursts.js";
+import "./marks.js";
+import { keepName, readName, showName } from "./operators.js";
 import { hear } from "./sound.js";
 
 const body = document.body;
@@ -42,45 +45,6 @@ function put([id, html, key]) {
   if (before) before.focus();
   else if (first && !isTyping() && !isHalfTyped() && !isStated(document.activeElement)) first.focus();
 }
-
-// A place of the drawing opens its limit, and a limit that is open marks its place.
-const LIMITS = "details[data-place]";
-document.addEventListener("click", (event) => {
-  const mark = event.target.closest?.("[data-mark]");
-  if (!mark) return;
-  event.preventDefault();
-  const limit = [...document.querySelectorAll(LIMITS)].find((one) => one.dataset.place === mark.dataset.mark);
-  for (let one = limit; one; one = one.parentElement.closest("details")) one.open = true;
-  limit?.scrollIntoView({ block: "nearest" });
-});
-document.addEventListener("toggle", (event) => {
-  if (!event.target.matches(LIMITS)) return;
-  const places = [...document.querySelectorAll(`${LIMITS}[open]`)].map((one) => one.dataset.place);
-  for (const mark of document.querySelectorAll("[data-mark]")) mark.classList.toggle("chosen", places.includes(mark.dataset.mark));
-}, true);
-
-// Who works at a station, as it was stated last at this browser, with the latest run of the station then: once another
-// run has begun, its operator counts.
-const nameKey = (form) => `cbsr-qa operator at ${new URL(form.action).pathname.split("/")[2]}`;
-const readName = (form) => JSON.parse(localStorage.getItem(nameKey(form)) ?? '["", ""]');
-function keepName(form, name) {
-  const run = document.getElementById("operator")?.dataset.run ?? form.elements.run?.value ?? "";
-  localStorage.setItem(nameKey(form), JSON.stringify([run, name]));
-}
-function showName(place) {
-  const field = place.querySelector("#operator");
-  if (!field || !localStorage.getItem(nameKey(field.form))) return;
-  const [run, name] = readName(field.form);
-  if (run === field.dataset.run) field.value = name;
-  else if (name === field.value) keepName(field.form, name);
-  else localStorage.removeItem(nameKey(field.form));
-}
-// A name that was typed is kept even if the page is left in the middle of it.
-addEventListener("pagehide", () => {
-  const field = document.getElementById("operator");
-  if (field?.matches(":focus")) keepName(field.form, field.value);
-});
-addEventListener("storage", () => { if (document.activeElement?.id !== "operator") showName(document); });
 
 // What the browser remembers: who works here, and which details are open.
 function prepare(place) {
@@ -325,38 +289,14 @@ function keepEarly(event) {
   }
 }
 
-// A scanner that types into a field for people scans all the same: its keys come in one burst that ends with Enter, and
-// the field is put back to what it was before.
-const TYPED = "form[data-send] input:not([type=hidden], [type=password], #serial, #answer)";
-const BURST_GAP_MS = 100;
-let burst = null;
-function followBurst({ target, key, timeStamp }) {
-  if (key === "Shift") return;
-  if (key.length !== 1 || !target.matches?.(TYPED)) burst = null;
-  else {
-    if (burst?.field !== target || timeStamp - burst.last > BURST_GAP_MS) {
-      burst = { field: target, before: target.value, since: timeStamp, keys: "" };
-    }
-    burst.keys += key;
-    burst.last = timeStamp;
-  }
-}
-function takeBurst(event) {
-  const { field, before, since, keys } = burst ?? {};
-  if (field !== event.target || keys.length < 3 || event.timeStamp - since > 50 * keys.length) return false;
-  event.preventDefault();
-  burst = null;
-  field.value = before;
-  if (field.id === "operator") keepName(field.form, before);
+function scan(text) {
   const serial = document.getElementById("serial");
-  if (!serial) {
-    tell(body.dataset.ignored);
-    return true;
+  if (!serial) tell(body.dataset.ignored);
+  else {
+    serial.value = text;
+    serial.focus();
+    serial.form.requestSubmit();
   }
-  serial.value = keys;
-  serial.focus();
-  serial.form.requestSubmit();
-  return true;
 }
 
 // What a scanner types goes to the scan field, unless a text is being typed. Where there is none, during a run, it is
@@ -369,7 +309,12 @@ document.addEventListener("keydown", (event) => {
     keepEarly(event);
     return;
   }
-  if (event.key === "Enter" && takeBurst(event)) return;
+  const scanned = event.key === "Enter" ? takeBurst(event) : "";
+  if (scanned) {
+    event.preventDefault();
+    scan(scanned);
+    return;
+  }
   followBurst(event);
   if (event.key === "Enter") lastKey = 0;
   if (event.key === "Enter" && active?.id === "confirm-by") {  // a scanner's Enter is nobody's word: a press is
