@@ -56,7 +56,7 @@ def calibrate(
     standards: Annotated[
         Path | None,
         typer.Option(
-            help="TOML file with table standards, or a station's: certificates that the forces are traced to."
+            help="TOML file with a standards table, or a station's: certificates that the forces are traced to."
         ),
     ] = None,
     output: PageOutput = None,

@@ -37,7 +37,7 @@ def issue(
     laboratory: Annotated[
         Path | None,
         typer.Option(
-            help="File with table certificate, its own or a station's; by default that of the run's station."
+            help="File with a certificate table, its own or a station's; by default that of the run's station."
         ),
     ] = None,
     signatory: Annotated[str | None, typer.Option(help="Who authorises it, in place of the file's.")] = None,

@@ -107,23 +107,28 @@ def validate_operator(text: str) -> str:
 
 
 def validate_reason(text: str) -> str:
-    """Return a valid reason for a change; may be empty.
+    """Return a valid reason for a change; may be empty. ConfigError as :func:`validate_line`."""
+    return validate_line(text, "reason", LONGEST_REASON)
+
+
+def validate_line(text: str, noun: str, longest: int) -> str:
+    """Return a text that can be printed in one line, without blanks at its ends; may be empty.
 
     Raises
     ------
     ConfigError
-        If it is longer than 500 characters, or holds line breaks or other invisible characters.
+        If it has more characters, or holds line breaks or other invisible characters.
     """
     hidden_character = next(
         (character for character in text if unicodedata.category(character)[0] in "CZ" and character != " "), ""
     )
     finding = f"{hidden_character!r} is not allowed" if hidden_character else ""
-    if len(text) > LONGEST_REASON:
-        finding = f"it is longer than {LONGEST_REASON} characters"
+    if len(text) > longest:
+        finding = f"it has {len(text)} characters"
     if finding:
         raise ConfigError(
-            f"reason {echo(text, 24)} cannot be used: {finding}",
-            remedy=f"allowed: one line of up to {LONGEST_REASON} characters",
+            f"{noun} {echo(text, 24)} cannot be used: {finding}",
+            remedy=f"allowed: one line of up to {longest} characters",
         )
     return text.strip()
 

@@ -25,7 +25,7 @@ from cbsr_qa.domain.plan.plan import (
     Station,
     SyncSettings,
 )
-from cbsr_qa.domain.plan.standards import StandardRole
+from cbsr_qa.domain.plan.standards import IN_USE_YEARS, StandardRole
 from cbsr_qa.domain.readings.loads import Indenter
 from cbsr_qa.plugin.hooks import Kind
 from cbsr_qa.plugin.problems import Problem, Table
@@ -231,7 +231,7 @@ class CertificateTable(Table):
     performed_at: Literal["laboratory", "laboratoryBranch", "customer", "customerBranch", "other"]
     signatory: Line
     function: Line
-    validity_months: Annotated[int, Field(ge=1, le=120)] | None = None
+    validity_months: Annotated[int, Field(ge=1, le=round(12 * IN_USE_YEARS))] | None = None
     max_error_N: Annotated[float, Field(ge=0, le=1e6)] = 0.0
     max_error_percent: Annotated[float, Field(ge=0, lt=100)] = 0.0
     decision: Literal["", "guarded", "simple"] = ""

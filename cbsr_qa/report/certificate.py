@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import groupby
-from math import floor, inf, log10
+from math import floor, log10
 from typing import Final
 
 from jinja2 import Template
@@ -34,6 +34,7 @@ from cbsr_qa.report.certificate_texts import (
     state_conformity,
 )
 from cbsr_qa.report.render import make_environment, read_style
+from cbsr_qa.report.tables import format_dof
 
 #: Most checked loads in the table: more do not fit on the page. Those nearest to their limit are shown.
 _MOST_LOADS: Final = 8
@@ -49,8 +50,6 @@ _DECISIONS: Final = {
     "fail": "does not conform",
     "": "",
 }
-#: Degrees of freedom above which k is that of infinitely many, within 0.003.
-_MANY: Final = 999
 
 
 def render_certificate(certificate: Certificate, fingerprint: str) -> str:
@@ -109,13 +108,6 @@ def format_with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     """Return a value and U: U with two significant digits, the value to the same decimal (JCGM 100, 7.2.6)."""
     decimals = max(1 - floor(log10(expanded)), 0)
     return f"{value:.{decimals}f}".replace("-", "−"), f"{expanded:.{decimals}f}"
-
-
-def format_dof(dof: float) -> str:
-    """Return degrees of freedom, truncated as k is (JCGM 100, G.6.4)."""
-    if dof == inf:
-        return "∞"
-    return f">{_MANY}" if dof > _MANY else str(floor(dof))
 
 
 def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:

@@ -6,9 +6,9 @@ from itertools import chain
 from math import ceil, floor, isfinite, log10
 from typing import Final
 
-from cbsr_qa.domain.plan.standards import StandardRole, find_standard
+from cbsr_qa.domain.plan.standards import IN_USE_YEARS, StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, Replacement
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, MonteCarlo, list_missing
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, MonteCarlo, list_missing
 
 #: Sentences of page and XML that are the same in every certificate.
 ITEM: Final = "Soft pressure sensor, read by electrical impedance tomography"

@@ -134,10 +134,9 @@ def _verdict(result: RunResult) -> Banner:
 def _describe_failed_tries(result: RunResult) -> str:
     """Say that earlier tests of the sensor with the recipe failed, and on which days; empty if none did."""
     history = result.sensor_history
-    failed_tries = [] if history is None else [run for run in history.tries if run.final_outcome is Outcome.FAIL]
-    if history is None or not failed_tries:
+    if history is None or not history.failed_tries:
         return ""
-    days = list_names(list(dict.fromkeys(f"{run.started_at.astimezone():%Y-%m-%d}" for run in failed_tries)))
+    days = list_names(list(dict.fromkeys(f"{run.started_at.astimezone():%Y-%m-%d}" for run in history.failed_tries)))
     again = " as well" if result.verdict.outcome is Outcome.FAIL else ""
     return f"{capital(history.ordinal)} test with this recipe; failed on {days}{again}."
 

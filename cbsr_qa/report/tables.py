@@ -1,7 +1,7 @@
 """Cells, numbers and words that sections write alike: as many digits as the uncertainty allows, with a unit."""
 
 from collections.abc import Callable, Iterable, Sequence
-from math import floor, log10
+from math import floor, isinf, log10
 from typing import Final, Protocol, TypeVar
 
 from cbsr_qa.domain.plan.limits import Bound, Limit
@@ -21,6 +21,9 @@ _SCALABLE: Final = frozenset({"V", "A", "S", "ohm", "Ω"})
 
 #: Decimals beyond which a value in this unit means nothing on this bench, unless its uncertainty is smaller.
 _DECIMALS: Final = {"mm": 2, "mm²": 2, "mm2": 2, "%": 1, "percent": 1, "dB": 1, "s": 1, "N": 2, "kPa": 1}
+
+#: Degrees of freedom above which k is that of infinitely many, within 0.003.
+_MANY_DOF: Final = 999
 
 #: Number of names that are listed; the rest is only counted.
 _MOST_NAMED: Final = 6
@@ -81,6 +84,13 @@ def with_uncertainty(value: float, uncertainty: float | None, digits: int = 3) -
     places = max(decimals + exponent, 0)
     power = f"10{str(exponent).translate(_SUPERSCRIPTS)}"
     return f"({format_fixed(value / scale, places)} ± {format_fixed(uncertainty / scale, places)}) × {power}"
+
+
+def format_dof(dof: float | None) -> str:
+    """Write degrees of freedom, truncated as k is (JCGM 100, G.6.4); None and infinity alike."""
+    if dof is None or isinf(dof):
+        return "∞"
+    return f">{_MANY_DOF}" if dof > _MANY_DOF else str(floor(dof))
 
 
 def quantity(value: float, unit: str, uncertainty: float | None = None) -> str:

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator
 from functools import partial
-from math import floor
 from pathlib import Path
 from typing import Final
 
@@ -15,11 +14,9 @@ from cbsr_qa.domain.results.calibration import BaselineConductance, VerifiedFile
 from cbsr_qa.domain.results.press_calibration import PressCalibration
 from cbsr_qa.domain.results.report import Banner, CommandOutcome, Page, Paragraph, Section, Table
 from cbsr_qa.domain.run.run import run_named
-from cbsr_qa.report.tables import format_fixed, plural, text_table
+from cbsr_qa.report.tables import format_dof, format_fixed, plural, text_table
 from cbsr_qa.store.types import time_of_id
 
-#: Degrees of freedom from which they are shown as infinite.
-_MANY: Final = 9999
 #: Fields with a separate line or table on the page.
 _IN_SECTIONS: Final = ("assumed", "baseline_conductance/", "identity/", "settling/", "standards/", "validity/")
 
@@ -149,7 +146,7 @@ def _tabulate_expanded_forces(forces: tuple[ShownExpandedForce, ...]) -> Table:
             *(format_fixed(axis_mm, 1) for axis_mm in one.place_mm),
             f"{one.force_N:.3g}",
             f"{one.standard_uncertainty_N:#.2g}",
-            _format_dof(one.dof),
+            format_dof(one.dof),
             f"{one.k:.2f}",
             f"{one.U_N:#.2g}",
             f"{one.in_use.U_N:#.2g}",
@@ -173,7 +170,7 @@ def _tabulate_components(force: ShownExpandedForce) -> Table:
             part.name,
             part.kind,
             f"{part.standard_uncertainty_N:#.2g}" if part.standard_uncertainty_N else "0",
-            _format_dof(part.dof),
+            format_dof(part.dof),
             f"{100 * part.share:.1f}",
             part.source,
         )
@@ -186,11 +183,6 @@ def _tabulate_components(force: ShownExpandedForce) -> Table:
     )
     columns = ("input", "kind", "u [N]", "dof", "% of u²", "from")
     return text_table(caption, columns, rows, (2, 3, 4))
-
-
-def _format_dof(dof: float | None) -> str:
-    """Return degrees of freedom, truncated as k is (JCGM 100, G.6.4)."""
-    return "∞" if dof is None or dof > _MANY else str(floor(dof))
 
 
 def _describe_random_numbers(force: ShownExpandedForce) -> Iterator[str]:

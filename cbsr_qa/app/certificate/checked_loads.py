@@ -75,26 +75,25 @@ def _read_loads(
         samples, place_mm = phase.channel("force"), (load.load.x_mm, load.load.y_mm)
         reference_N, stderr_N = mean_force(samples, last, load)
         steady_N, _ = mean_force(samples, window.steady, load)
-        why = describe_cell_limit(samples, load)
         if reference_N is None or stderr_N is None or steady_N is None:
-            why = "no force was recorded"
-        elif _has_neighbours(phase, load, record):
-            why = "it was pressed together with others"
-        if why or reference_N is None or stderr_N is None or steady_N is None:
+            yield LeftOutLoad(phase.name, place_mm, "no force was recorded")
+            continue
+        if why := _find_obstacle(phase, load, record):
             yield LeftOutLoad(phase.name, place_mm, why)
             continue
-        (told_N,) = calibration.force(last.voltages, place_mm=place_mm).force_N.tolist()
+        (indicated_N,) = calibration.force(last.voltages, place_mm=place_mm).force_N.tolist()
         if not _is_within(calibration.issued.validity, steady_N, place_mm):
-            yield LeftOutLoad(phase.name, place_mm, "", reference_N, told_N if isfinite(told_N) else None)
+            known_N = indicated_N if isfinite(indicated_N) else None
+            yield LeftOutLoad(phase.name, place_mm, "", reference_N, known_N)
             continue
-        if not isfinite(told_N):
+        if not isfinite(indicated_N):
             raise CalibrationError(
                 f"the calibration tells no force of load {load.load.label} of phase {phase.name!r}, within its range"
             )
         settling_s = float(last.time_s[0]) - load.hold_start_s
         count = len(select_forces(samples, last, load))
         press = ReferencePress(place_mm, settling_s, reference_N, stderr_N, count, steady_N)
-        yield _Reading(phase.name, press, told_N)
+        yield _Reading(phase.name, press, indicated_N)
 
 
 def _is_within(validity: Validity, force_N: float, place_mm: tuple[float, float]) -> bool:
@@ -103,8 +102,11 @@ def _is_within(validity: Validity, force_N: float, place_mm: tuple[float, float]
     return lowest_N <= force_N <= highest_N and float(np.hypot(*place_mm)) <= validity.radius_mm
 
 
-def _has_neighbours(phase: PhaseRecord, load: LoadRecord, record: RunRecord) -> bool:
-    return bool(list_neighbours(record.indenter, phase, load, load.release_start_s - 1e-6))
+def _find_obstacle(phase: PhaseRecord, load: LoadRecord, record: RunRecord) -> str:
+    """Say why the load cell did not tell the force of a load alone; empty if it did."""
+    if list_neighbours(record.indenter, phase, load, load.release_start_s - 1e-6):
+        return "it was pressed together with others"
+    return describe_cell_limit(phase.channel("force"), load)
 
 
 def _judge_load(reading: _Reading, error: ExpandedForce, settings: CertificateSettings | None) -> CheckedLoad:

@@ -24,7 +24,7 @@ from cbsr_qa.domain.plan.standards import find_doubtful_dates, find_overdue
 from cbsr_qa.domain.results.calibration import Calibration as IssuedCalibration
 from cbsr_qa.domain.results.certificate import Certificate, Replacement, is_reference_known
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
-from cbsr_qa.domain.results.expanded_force import IN_USE_YEARS, Result
+from cbsr_qa.domain.results.expanded_force import Result
 from cbsr_qa.domain.run.gate import GateOutcome, gate_warnings
 from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.store.repository import Repository
@@ -59,7 +59,7 @@ def compose_certificate(store: Repository, run: str, request: CertificateRequest
         :meth:`~cbsr_qa.store.results.certificates.Certificates.check_allowed`).
     RefusedError
         If the sensor did not pass, the run issued no calibration that tells force, an instrument or standard was
-        overdue on the day of calibration, the clock is before that day, or the validity is too long or has ended.
+        overdue on the day of calibration, the clock is before that day, or the validity has ended.
     ConfigError
         If the settings are missing or not allowed.
     """
@@ -127,16 +127,9 @@ def _date_calibration(
             f"{refused}: by the clock of this computer it is {now.date()}, and the calibration was made on {ended}",
             remedy="set the clock",
         )
-    months, longest = settings.validity_months, round(12 * IN_USE_YEARS)
-    if months is None:
-        return (begun, ended), None
-    if months > longest:
-        raise RefusedError(
-            f"{refused}: U in use is stated for {longest} months at most, and the validity is {months}",
-            remedy=f"state a validity of at most {longest} months",
-        )
-    valid_until = add_months(ended, months)
-    if valid_until < now.date():
+    months = settings.validity_months
+    valid_until = None if months is None else add_months(ended, months)
+    if valid_until is not None and valid_until < now.date():
         raise RefusedError(
             f"{refused}: its validity of {months} months ended on {valid_until}", remedy="test the sensor again"
         )

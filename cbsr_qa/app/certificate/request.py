@@ -7,13 +7,12 @@ from typing import Final
 
 from cbsr_qa.config.documents import Document, DocumentKind
 from cbsr_qa.config.loader import load_certificate_settings
-from cbsr_qa.config.serials import validate_reason
+from cbsr_qa.config.serials import validate_line, validate_reason
 from cbsr_qa.config.station import CertificateFile
 from cbsr_qa.config.tables import validate
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.plan import CertificateSettings
 from cbsr_qa.domain.results.certificate import Customer
-from cbsr_qa.system.words import echo
 
 #: Longest name or address of a customer [characters]: a line or two of the page.
 _LONGEST_CUSTOMER: Final = 120
@@ -42,7 +41,7 @@ class CertificateRequest:
     why: str = ""
 
     def validate(self) -> "CertificateRequest":
-        """Return itself with a tidy reason.
+        """Return itself with tidy texts.
 
         Raises
         ------
@@ -51,18 +50,10 @@ class CertificateRequest:
         RefusedError
             If the folder is a file.
         """
-        for option, text in (("--customer", self.customer.name), ("--customer-address", self.customer.address)):
-            hidden = next((character for character in text if not character.isprintable()), "")
-            finding = f"{hidden!a} cannot be printed" if hidden else ""
-            if not finding and text != text.strip():
-                finding = "it begins or ends with a blank"
-            if len(text) > _LONGEST_CUSTOMER:
-                finding = f"it has {len(text)} characters"
-            if finding:
-                raise ConfigError(
-                    f"{option} {echo(text, 24)} cannot be used: {finding}",
-                    remedy=f"allowed: one line of up to {_LONGEST_CUSTOMER} characters",
-                )
+        customer = Customer(
+            validate_line(self.customer.name, "--customer", _LONGEST_CUSTOMER),
+            validate_line(self.customer.address, "--customer-address", _LONGEST_CUSTOMER),
+        )
         if bool(self.replaces) is not bool(self.why.strip()):
             raise ConfigError(
                 "--replaces and --reason are given together",
@@ -70,7 +61,7 @@ class CertificateRequest:
             )
         if self.folder.exists() and not self.folder.is_dir():
             raise ConfigError(f"--to {self.folder} exists, and is not a folder", remedy="name a folder")
-        return replace(self, why=validate_reason(self.why))
+        return replace(self, customer=customer, why=validate_reason(self.why))
 
 
 def choose_settings(request: CertificateRequest, configuration: str) -> tuple[CertificateSettings, Path | None]:

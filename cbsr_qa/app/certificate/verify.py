@@ -219,7 +219,11 @@ def _find_run_problems(store: Repository, record: StoredCertificate) -> Iterator
     run = record.issued.run
     if not chain.chained:
         yield f"run {run}: {chain.words}"
-    verdict = RunVerdict.from_analyses(store, run, store.analyses.load(run))
+    analyses = store.analyses.load(run)
+    if not analyses:
+        yield f"run {run} has gone on since, and has no result now"
+        return
+    verdict = RunVerdict.from_analyses(store, run, analyses)
     if not verdict.passes:
         yield f"the verdict of its run is {verdict.outcome} now: {verdict.reason}"
 

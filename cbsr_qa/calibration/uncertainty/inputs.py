@@ -11,9 +11,9 @@ import numpy as np
 from cbsr_qa.calibration.uncertainty.combination import BudgetInput, coverage_factor
 from cbsr_qa.calibration.uncertainty.force_point import Entry, ForcePoint
 from cbsr_qa.calibration.uncertainty.transients import kernel_error
-from cbsr_qa.domain.plan.standards import PERCENT, ReferenceStandard, StandardRole, find_standard
+from cbsr_qa.domain.plan.standards import IN_USE_YEARS, PERCENT, ReferenceStandard, StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration, ForceModel
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, Result
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, Result
 
 _DAYS_A_YEAR: Final = 365.25
 #: Standard uncertainty of a rectangle over its width (JCGM 100, 4.3.7).

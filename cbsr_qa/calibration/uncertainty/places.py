@@ -16,9 +16,9 @@ from cbsr_qa.calibration.uncertainty.force_point import ForcePoints
 from cbsr_qa.calibration.uncertainty.inputs import combine_standard, name_left_out
 from cbsr_qa.domain.errors import CalibrationError
 from cbsr_qa.domain.numbers import Array
-from cbsr_qa.domain.plan.standards import StandardRole, find_standard
+from cbsr_qa.domain.plan.standards import IN_USE_YEARS, StandardRole, find_standard
 from cbsr_qa.domain.results.calibration import Calibration
-from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, IN_USE_YEARS, ExpandedPlace
+from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, ExpandedPlace
 
 #: Least ratio of the axes' variances: below it the region is a line.
 _LINE: Final = 1e-6

@@ -11,6 +11,8 @@ from cbsr_qa.domain.kept import Kept
 
 #: Unit of an uncertainty relative to the value.
 PERCENT = "%"
+#: Time since the reference frame for which a calibration in use is stated: meters drift by so much a year.
+IN_USE_YEARS: Final = 1.0
 
 
 class StandardRole(StrEnum):

@@ -80,7 +80,7 @@ class LeftOutLoad:
     ----------
     phase, place_mm : phase of the run, and place from the sheet's centre.
     why : why there is no error; empty for a load outside of the stated range.
-    reference_N, indicated_N : as of a checked load; None where there is none.
+    reference_N, indicated_N : as of a checked load; None where load cell or calibration tells no force.
     """
 
     phase: str

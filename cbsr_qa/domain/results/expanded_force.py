@@ -6,9 +6,8 @@ from enum import StrEnum
 from math import hypot
 from typing import Final
 
-#: Input of a sensor in use: its readings' gains since the reference frame, and the time for which they are stated.
+#: Input of a sensor in use: its readings' gains since the reference frame.
 GAIN_DRIFT: Final = "drift of gains since the reference"
-IN_USE_YEARS: Final = 1.0
 
 
 class Result(StrEnum):
