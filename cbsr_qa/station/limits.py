@@ -265,7 +265,7 @@ class Limits:
     def _name_limited_drives(self, limited: np.ndarray[tuple[int, ...], np.dtype[np.bool_]]) -> tuple[str, str]:
         """Name the electrode whose lead may be open, and the drive pairs whose counted readings were all limited.
 
-        An open lead limits both of its pairs. Each text is empty if there is none.
+        An open lead limits both of its pairs. A text is empty where nothing was limited as a whole.
         """
         limited_pairs = self._plan.sensor_type.pattern.list_silent_drives(limited, self._counted)
         if not limited_pairs:

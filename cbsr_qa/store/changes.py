@@ -19,7 +19,7 @@ from cbsr_qa.domain.run.changes import (
 from cbsr_qa.domain.run.run import RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.chain.check import RESTORE, check_run
-from cbsr_qa.store.chain.links import add_rows, make_few_links
+from cbsr_qa.store.chain.links import add_rows, match_few_links
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE, find_altered, read_rows
 from cbsr_qa.store.damage import read_word
 from cbsr_qa.store.engine import reading, writing
@@ -53,7 +53,7 @@ class Changes:
         kinds = ConfigurationChangeRow, VerdictOverrideRow, AdoptionRow, ReanalysisRow, AnalysisRow
         names = [kind.__tablename__ for kind in kinds[:3]]
         with reading(self._engine) as connection:
-            linked = select(LinkRow.run).where(LinkRow.kind.in_(names), make_few_links()).distinct()
+            linked = select(LinkRow.run).where(LinkRow.kind.in_(names), match_few_links()).distinct()
             runs = {*connection.scalars(linked), *connection.scalars(select(ConfigurationChangeRow.run))}
             runs |= {*connection.scalars(select(VerdictOverrideRow.run))}
             runs |= {

@@ -81,7 +81,8 @@ def _conclude(
         record = store.runs.load_with_file_check(run)
     recipe, history, threads = configuration.recipe, store.changes.read_history(record), threading.enumerate()
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
-    failed_before = store.lists.read_failed_before(run)  # before plugins, which may leave no file to open
+    # Read before plugins, which may leave no file to open.
+    failed_before = store.lists.read_failed_before(run) if sensor_history.failed_tries else ()
     conclusion = evaluate_run(record, recipe, plugins, stages, standards=configuration.station.standards)
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)

@@ -231,7 +231,7 @@ def check_list(
 
     Parameters
     ----------
-    seal : signature of the certificate; None if there is none.
+    seal : signature of the certificate; None for a list by itself.
     key : PEM file with the public key that must have signed the list; None for that of the certificate, or any.
 
     Raises

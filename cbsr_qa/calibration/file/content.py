@@ -113,7 +113,7 @@ class Reading:
             raise CalibrationError(f"{path} is {values[0]:g} to {values[1]:g}; finite numbers are expected")
         return float(values[0]), float(values[1])
 
-    def required_pair(self, path: str) -> tuple[float, float]:
+    def need_pair(self, path: str) -> tuple[float, float]:
         """Return (lowest, highest)."""
         pair = self.pair(path)
         if pair is None:

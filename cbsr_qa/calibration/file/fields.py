@@ -190,7 +190,7 @@ _VALUES: Final[Mapping[Any, Callable[[Reading, str], Any]]] = {
     tuple[str, ...]: Reading.texts,
     float: Reading.number,
     float | None: Reading.optional_number,
-    tuple[float, float]: Reading.required_pair,
+    tuple[float, float]: Reading.need_pair,
     tuple[float, float] | None: Reading.pair,
     Array: Reading.numbers,
     Array | None: Reading.optional,

@@ -111,7 +111,7 @@ class StackedSeries(Sized):
             change[self._places[number]] += self._series[number](float(strengths[number]))
         return change
 
-    def bound_entries(self, strengths: Sequence[float]) -> float:
+    def limit_entries(self, strengths: Sequence[float]) -> float:
         """Upper bound of all entries of the sum; infinite if a strength is beyond its series."""
         if (np.abs(strengths) > self._reach).any():
             return float("inf")
@@ -188,7 +188,7 @@ class Patch:
 
     def _exact(self, strengths: Sequence[float]) -> Array:
         change = self._stacked(np.asarray(strengths))
-        if not self._stacked.bound_entries(strengths) < _SAFE * self._least:
+        if not self._stacked.limit_entries(strengths) < _SAFE * self._least:
             check_change(self._model, self._elements, change)
         rim_change = self._stack.rim_changes(self._matrices.assemble(change))[0]
         return np.linalg.solve(np.eye(len(rim_change)) + rim_change @ self._own, rim_change)

@@ -27,7 +27,7 @@ from cbsr_qa.store.chain.links import (
     checking_key,
     key_id_of,
     link_digest,
-    make_few_links,
+    match_few_links,
 )
 from cbsr_qa.store.chain.run_documents import (
     FIGURES,
@@ -180,7 +180,7 @@ def _links(connection: Connection, run: str, kinds: Collection[str]) -> Sequence
     if kinds:
         query = query.where(link.kind.in_(kinds))
         if not set(kinds).intersection(MANY_LINKS):
-            query = query.where(make_few_links())
+            query = query.where(match_few_links())
     return connection.execute(query).all()
 
 
@@ -232,7 +232,7 @@ def runs_with_a_gap(connection: Connection, runs: Sequence[str]) -> set[str]:
     """Return the runs that lack a link from their last state on, where their results are."""
     link = LinkRow
     of_states = select(link.run, func.max(link.number).label("number")).where(
-        among(connection, link.run, runs), link.kind == RunStateRow.__tablename__, make_few_links()
+        among(connection, link.run, runs), link.kind == RunStateRow.__tablename__, match_few_links()
     )
     last = of_states.group_by(link.run).subquery()
     query = (

@@ -11,7 +11,7 @@ from sqlalchemy import ColumnElement, Connection, Double, Executable, Select, Te
 from sqlalchemy.orm import aliased
 
 from cbsr_qa.store.chain.check import check_run
-from cbsr_qa.store.chain.links import key_id_of, link_digest, make_few_links, signing_key
+from cbsr_qa.store.chain.links import key_id_of, link_digest, match_few_links, signing_key
 from cbsr_qa.store.chain.run_documents import FIGURES, contents, words
 from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.results import AnalysisRow, MeasurementRow
@@ -115,7 +115,7 @@ def _read_links(connection: Connection, chosen: Sequence[ColumnElement[bool]]) -
         .join(RunRow, RunRow.run == a.run)
         .join(link, (link.run == a.run) & (link.kind == FIGURES) & (link.document == a.analysis))
         .join(before, (before.run == link.run) & (before.number == link.number - 1))
-        .where(*chosen, make_few_links())
+        .where(*chosen, match_few_links())
     )
     rows = connection.execute(query.execution_options(yield_per=AT_ONCE))
     return dict(_following(connection, rows))

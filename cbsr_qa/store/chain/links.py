@@ -136,7 +136,7 @@ def key_id_of(chain: str) -> str:
     return chain.removeprefix(_SIGNED) if chain.startswith(_SIGNED) else ""
 
 
-def make_few_links() -> TextClause:
+def match_few_links() -> TextClause:
     """Return the condition under which links are found by an index of their kind; a database must see it in words."""
     return text(f"{LinkRow.__tablename__}.{FEW_LINKS}")
 

@@ -16,7 +16,7 @@ from sqlalchemy.types import NullType
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.store.chain.check import among, check_run, runs_with_a_gap
-from cbsr_qa.store.chain.links import key_id_of, link_digest, make_few_links, signing_key
+from cbsr_qa.store.chain.links import key_id_of, link_digest, match_few_links, signing_key
 from cbsr_qa.store.chain.many_rows import documents_in_columns, keys_of
 from cbsr_qa.store.chain.run_documents import list_covered
 from cbsr_qa.store.tables.records import LinkRow
@@ -178,7 +178,7 @@ def _read_links(
             before,
             and_(before.run == link.run, before.number == link.number - 1, among(connection, before.run, chains)),
         )
-        .where(among(connection, link.run, chains), link.kind.in_(kinds), make_few_links())
+        .where(among(connection, link.run, chains), link.kind.in_(kinds), match_few_links())
     )
     linked: defaultdict[str, dict[_Place, str]] = defaultdict(dict)
     doubted, key = set(), signing_key(connection)

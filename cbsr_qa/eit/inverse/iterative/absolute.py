@@ -194,7 +194,7 @@ class Linearised:
         try:
             self._factor = linalg.cho_factor(system, lower=True)
         except (linalg.LinAlgError, ValueError) as error:  # not positive to rounding, or not finite
-            raise _no_finite_image(
+            raise _explain_divergence(
                 f"noise variances of {variance.min():.2g} to {variance.max():.2g} leave"
             ) from error
 
@@ -249,7 +249,7 @@ def most_probable_state(
         with np.errstate(all="ignore"):  # non-finite values are refused here
             step, weights, fall = linearised.step(wanted, place)
         if not (np.isfinite(cost) and np.isfinite(fall) and np.isfinite(step).all()):
-            raise _no_finite_image(f"readings of up to {np.abs(wanted).max():.2g} give")
+            raise _explain_divergence(f"readings of up to {np.abs(wanted).max():.2g} give")
         if fall <= TOLERANCE + _SHARE * cost:
             return _describe_state(linearised, wanted, number)
         length = min(1.0, _LONGEST / float(np.abs(step).max()))
@@ -286,7 +286,7 @@ def _describe_state(here: Linearised, wanted: Array, steps: int) -> FoundState:
     )
 
 
-def _no_finite_image(what: str) -> NumericsError:
+def _explain_divergence(what: str) -> NumericsError:
     return NumericsError(
         f"the absolute image cannot be computed: {what} no finite numbers, or none that rounding does not decide",
         remedy="check the units of readings and of their noise variances, and noise_dB",
