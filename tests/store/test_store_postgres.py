@@ -40,9 +40,12 @@ def repository(url):
 
 def test_a_database_that_is_opened_again_meanwhile_leaves_no_connection_open(postgres_database):
     """The fixture drops the database, which fails while anyone is connected."""
-    with open_store(postgres_database) as outer, outer.claims.hold_run("run-1"):
-        with open_store(postgres_database) as inner:
-            assert inner.claims.name_writer("run-1") == outer.claims.name_writer("run-1") != ""
+    with (
+        open_store(postgres_database) as outer,
+        outer.claims.hold_run("run-1"),
+        open_store(postgres_database) as inner,
+    ):
+        assert inner.claims.name_writer("run-1") == outer.claims.name_writer("run-1") != ""
 
 
 def test_results_and_calibrations_come_back(repository):
