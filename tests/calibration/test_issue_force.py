@@ -57,15 +57,18 @@ def test_the_range_is_that_of_the_loads_that_were_used_and_the_others_are_named(
     why = "the standard error of its amplitude is 40%"
     validity = _issued(_loads(), ("", "", "", "", "", "", why))[0].validity
     assert (validity.force_N, validity.radius_mm, validity.strain) == ((1.0, 6.0), 30.0, (0.1, 0.2))
-    assert validity.reduced == (f"no force was learned from L6 at (36, 0) mm, trial 0: {why}",)
+    assert validity.reduced == (
+        f"no force was learned from L6 at (36, 0) mm, trial 0: {why}",
+        "the scatter of loads is known from only 6: stated uncertainties may hold fewer than 95 % of errors",
+    )
     assert _issued(_loads())[0].validity.radius_mm == 36.0
-    assert _issued(_loads())[0].validity.reduced == ()
+    assert _issued((*_loads(), *_loads()), ("",) * 14)[0].validity.reduced == ()
 
 
 def test_many_loads_refused_for_one_reason_are_one_reason():
     loads = (*_loads(), *_loads())
     refused = ("",) * 7 + ("it changed in the direction opposite to the material's response",) * 7
-    (reason,) = _issued(loads, refused)[0].validity.reduced
+    reason, _ = _issued(loads, refused)[0].validity.reduced
     assert reason.startswith("no force was learned from L0 at (0, 0) mm, trial 0, L1 at")
     assert "and 1 more: it changed in the direction opposite" in reason
 
@@ -80,8 +83,9 @@ def test_many_loads_refused_for_one_reason_are_one_reason():
 )
 def test_loads_that_press_alike_say_nothing_of_the_intercept(strains, fitted, said):
     issued, _ = _issued(_loads(strains), fitted=fitted)
-    (reason,) = issued.validity.reduced
+    reason, scatter = sorted(issued.validity.reduced)
     assert reason.startswith(said)
+    assert scatter.startswith("the scatter of loads is known from only 7")
     assert ("β against stress" in issued.assumed) is not fitted
 
 

@@ -13,6 +13,9 @@ from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 #: Number of places below which most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6
+#: Number of loads of a sensor, without its batch, from which on U holds its 95 %: 4 to 6 that scatter by 4 % hold 85 to
+#: 88 (docs/explanation/uncertainty.md).
+_ENOUGH_LOADS: Final = 9
 #: Number of loads named one by one; the rest are counted.
 _MAX_NAMED_LOADS: Final = 6
 
@@ -35,6 +38,11 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
     places = {load.place_mm for load in used_loads}
     if len(places) < _FEW_PLACES:
         yield (f"force was learned at only {len(places)} places: elsewhere their mean response is assumed")
+    if len(used_loads) < _ENOUGH_LOADS and learned.model.batch is None:
+        yield (
+            f"the scatter of loads is known from only {len(used_loads)}: stated uncertainties may hold fewer than 95 % of"
+            " errors"
+        )
     strains = {round(load.record.load.strain, 6) for load in used_loads}
     alike_strain = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
     if not learned.fitted_intercept:
