@@ -13,8 +13,8 @@ from cbsr_qa.domain.sensor.patterns import DrivePattern
 
 #: Number of places below which most of the map is its mean. Chosen by us.
 _FEW_PLACES: Final = 6
-#: Number of loads of a sensor, without its batch, from which on U holds its 95 %: 4 to 6 that scatter by 4 % hold 85 to
-#: 88 (docs/explanation/uncertainty.md).
+#: Number of loads of a sensor, without its batch, from which on U holds its 95 %: 4 to 6 that scatter by 4 % hold 85
+#: to 88 (docs/explanation/uncertainty.md).
 _ENOUGH_LOADS: Final = 9
 #: Number of loads named one by one; the rest are counted.
 _MAX_NAMED_LOADS: Final = 6
@@ -40,8 +40,8 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
         yield (f"force was learned at only {len(places)} places: elsewhere their mean response is assumed")
     if len(used_loads) < _ENOUGH_LOADS and learned.model.batch is None:
         yield (
-            f"the scatter of loads is known from only {len(used_loads)}: stated uncertainties may hold fewer than 95 % of"
-            " errors"
+            f"the scatter of loads is known from only {len(used_loads)}: stated uncertainties may hold fewer than 95"
+            " % of errors"
         )
     strains = {round(load.record.load.strain, 6) for load in used_loads}
     alike_strain = f"all loads were pressed at one strain ({100 * strains.pop():g} %)" if len(strains) == 1 else ""
