@@ -1,7 +1,7 @@
 """Answers of the gate on a sensor before its run, as the page shows them."""
 
 from contextlib import nullcontext, suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 from cbsr_qa.app.gate.people import asks_pin, is_pin_of
 from cbsr_qa.app.run.preview import preview_gate
@@ -16,6 +16,7 @@ from cbsr_qa.domain.plan.limits import Outcome, choose_disposition
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
 from cbsr_qa.store.opening import open_existing
+from cbsr_qa.store.repository import Repository
 from cbsr_qa.store.runs.live import RunLook
 from cbsr_qa.web.start import StartForm
 from cbsr_qa.web.stations import ServedStation
@@ -31,7 +32,9 @@ class GateView:
     may : whether the run may begin.
     asks_pin : whether it begins only with the PIN of the operator.
     answers : answers of the gate that are shown.
-    earlier : latest run of the sensor with the recipe, or with any if it has none; None before its first.
+    earlier : its failure with another recipe that stands, or its latest run with the recipe, or with any; None before
+        its first.
+    is_first : whether it has no run with the recipe yet.
     runs : number of all runs of the sensor.
     recipe : name of the recipe.
     todo : what is done with the sensor by its earlier run; empty if that did not fail, or its recipe does not say.
@@ -41,17 +44,21 @@ class GateView:
     asks_pin: bool
     answers: tuple[GateAnswer, ...]
     earlier: RunLook | None = None
+    is_first: bool = True
     runs: int = 0
     recipe: str = ""
     todo: str = ""
 
     @property
     def asks_again(self) -> str:
-        """The earlier run with the recipe, if it has a result: another test needs a person's consent; else empty."""
+        """The earlier run, if its result needs a person's consent to another test; else empty.
+
+        Such are all results of the recipe, and a failure with another one.
+        """
         earlier = self.earlier
-        if earlier is None or earlier.recipe != self.recipe or (earlier.verdict is None and not earlier.altered):
+        if earlier is None or (earlier.verdict is None and not earlier.altered):
             return ""
-        return earlier.run
+        return earlier.run if earlier.recipe == self.recipe or earlier.verdict is Outcome.FAIL else ""
 
     @property
     def pin_is_right(self) -> bool:
@@ -90,22 +97,29 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     result = preview_gate(request, (lambda _: wanted.pin) if with_pin else None).result
     quiet_outcomes = (GateOutcome.PASSED, GateOutcome.OFF)
     answers = tuple(answer for answer in result.answers if answer.outcome not in quiet_outcomes)
-    earlier, runs, todo = _read_earlier(database, wanted)
-    return GateView(result.refused is None, result.asks_pin, answers, earlier, runs, wanted.recipe.name, todo)
+    view = GateView(result.refused is None, result.asks_pin, answers, recipe=wanted.recipe.name)
+    return _with_earlier(view, database, wanted.serial)
 
 
-def _read_earlier(database: str | None, wanted: StartForm) -> tuple[RunLook | None, int, str]:
-    """Return the latest run of the sensor with the recipe, else with any; the number of its runs; what to do."""
+def _with_earlier(view: GateView, database: str | None, serial: str) -> GateView:
+    """Return the view with what the sensor did before, and what its earlier run says to do with it."""
     with open_existing(database_url(database)) or nullcontext() as store:
         if store is None:
-            return None, 0, ""
-        find = store.live.find_latest_of_sensor
-        earlier = find(wanted.serial, wanted.recipe.name) or find(wanted.serial)
-        runs = store.lists.count_runs(RunSelection(serials=(wanted.serial,)))
-        if earlier is None or earlier.verdict is not Outcome.FAIL:
-            return earlier, runs, ""
-        (listed,) = store.lists.read_named([earlier.run])
-        return earlier, runs, choose_disposition(listed.failure_codes)
+            return view
+        own = store.live.find_latest_of_sensor(serial, view.recipe)
+        earlier = own
+        if own is None or own.verdict is not Outcome.FAIL:
+            earlier = store.live.find_standing_failure(serial, view.recipe) or own
+        earlier = earlier or store.live.find_latest_of_sensor(serial)
+        runs = store.lists.count_runs(RunSelection(serials=(serial,)))
+        todo = read_disposition(store, earlier) if earlier is not None and earlier.verdict is Outcome.FAIL else ""
+        return replace(view, earlier=earlier, is_first=own is None, runs=runs, todo=todo)
+
+
+def read_disposition(store: Repository, failed: RunLook) -> str:
+    """Return what is done with the sensor of a failed run; empty if its recipe does not say."""
+    (listed,) = store.lists.read_named([failed.run])
+    return choose_disposition(listed.failure_codes)
 
 
 def read_latest(database: str | None, serial: str) -> RunLook | None:

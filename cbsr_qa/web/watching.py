@@ -18,6 +18,7 @@ from cbsr_qa.store.runs.live import ChangeNotice, RunLook
 from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
+from cbsr_qa.web.gate import read_disposition
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.live_run import DrawnPlaces, LiveRun
 from cbsr_qa.web.processes import Started, last_start
@@ -70,6 +71,8 @@ class StationWatch:
         self._begun_s = monotonic()
         self._failed: tuple[FailedLimit, ...] = ()
         self._failed_before: RunLook | None = None
+        self._stands: RunLook | None = None
+        self._todo = ""
         self._drawn: DrawnPlaces | None = None
 
     @property
@@ -142,6 +145,8 @@ class StationWatch:
             healthy=self._healthy,
             drawn=self._drawn,
             confirmed_by=name_confirmer(self.look) if self.look is not None and mode is Mode.DONE else "",
+            stands=self._stands,
+            todo=self._todo,
         )
         return True
 
@@ -161,10 +166,11 @@ class StationWatch:
         return ""
 
     def _take_look(self, store: Repository, plugins: Plugins, look: RunLook | None) -> None:
-        """Keep the latest run, the limits that decided it with their places, and the failure before a failure."""
+        """Keep the latest run, the limits that decided it with their places, and the failure before it."""
         if look == self.look:
             return
         self.look, self._failed, self._failed_before, self._drawn = look, (), None, None
+        self._stands, self._todo = None, ""
         if look is not None and not look.altered:
             self._failed = tuple(_list_failed(store, look))
             if any(limit.measurement is not None and limit.measurement.location for limit in self._failed):
@@ -174,6 +180,9 @@ class StationWatch:
             before = store.live.find_latest_of_sensor(look.serial, look.recipe, before=look.run)
             if before is not None and before.verdict is Outcome.FAIL:
                 self._failed_before = before
+        elif look is not None and look.verdict in (Outcome.PASS, Outcome.MARGINAL):
+            self._stands = store.live.find_standing_failure(look.serial, look.recipe)
+            self._todo = "" if self._stands is None else read_disposition(store, self._stands)
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
         """Read the data that the run in progress has stored; return the problem, empty without one."""

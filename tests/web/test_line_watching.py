@@ -14,6 +14,8 @@ from cbsr_qa.domain.results.measurement import Verdict
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web import watching
 from cbsr_qa.web.channel import ChannelClient
+from cbsr_qa.web.line import Line
+from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
 
@@ -106,6 +108,22 @@ def test_the_failure_before_a_failure_is_kept(url, watched, outcome):
     _, (only,) = watched("only")
     before = until(lambda: only.snapshot, "the station").failed_before
     assert (before and before.run) == (first if outcome is Outcome.FAIL else None)
+
+
+@pytest.mark.parametrize("lifted", [False, True])
+def test_a_pass_keeps_the_failure_with_another_recipe(url, watched, lifted):
+    passed = Verdict(Outcome.PASS, "why")
+    with open_store(url) as store:
+        failed = store_run(store, "S-1", (), station="other", recipe="strict", verdict=Verdict(Outcome.FAIL, "why"))
+        if lifted:
+            store_run(store, "S-1", (), station="other", recipe="strict", verdict=passed)
+        run = store_run(store, "S-1", (), station="only", recipe="usual", verdict=passed)
+    _, (only,) = watched("only")
+    snapshot = until(lambda: only.snapshot, "the station")
+    assert (snapshot.look.run, snapshot.stands and snapshot.stands.run) == (run, None if lifted else failed)
+    shown = Pages(Line((), url)).fragment("verdict", s=snapshot, base="", asks_operator=False)
+    assert ("This sensor failed with strict at other, just now: a pass with usual does not change" in shown) != lifted
+    assert ("Put the sensor with those that failed." in shown) != lifted
 
 
 def test_a_backlog_that_is_too_old_is_no_good_health(url, tmp_path, watched):

@@ -225,6 +225,20 @@ class LiveRuns:
             which &= RunRow.run < before
         return _look(self._engine, which)
 
+    def find_standing_failure(self, serial: str, recipe: str) -> RunLook | None:
+        """Return the latest failed run of a sensor with another recipe that no later result of that recipe lifts."""
+        query = select(RunRow.run, RunRow.recipe).where(RunRow.serial == serial, RunRow.recipe != recipe)
+        settled_recipes = set()
+        with reading(self._engine) as connection:
+            others = connection.execute(query.order_by(RunRow.run.desc())).all()
+        for run, name in others:
+            look = None if name in settled_recipes else self.find_run(run)
+            if look is not None and look.verdict is Outcome.FAIL:
+                return look
+            if look is not None and look.verdict in (Outcome.PASS, Outcome.MARGINAL):
+                settled_recipes.add(name)
+        return None
+
     def find_run(self, run: str) -> RunLook | None:
         """Return a run; None if it is not stored."""
         return _look(self._engine, RunRow.run == run)
