@@ -90,13 +90,11 @@ def shift_page(
         for reference in station_references
     )
     handover = sort_for_handover(runs, in_progress)
-    being_tested = {run.serial for run in runs if run.run in in_progress}
-    over = [run for run in runs if run.altered or run.serial not in being_tested]
+    summary = summarise_runs(runs)
     return {
         "day": since,
-        "summary": summarise_runs(runs),
-        "over": summarise_runs(over).total,
-        "codes_given": summarise_runs([run for run in over if run.verdict is Outcome.FAIL]).codes,
+        "summary": summary,
+        "codes_given": summarise_runs([run for run in runs if run.verdict is Outcome.FAIL]).codes,
         "handover": handover,
         "sentence": _describe_handover(handover),
         "limit_words": {key.label: _describe_limit(key) for run in runs for key in run.failed},

@@ -82,7 +82,7 @@ def test_a_run_over_midnight_is_of_both_days(tmp_path, monkeypatch):
     assert listed(began + timedelta(hours=3)) == []
 
 
-def test_headline_yield_and_codes_agree_while_a_sensor_is_tested_again(tmp_path, monkeypatch):
+def test_a_failed_sensor_has_failed_while_it_is_tested_again(tmp_path, monkeypatch):
     """Of four sensors one passed, one failed, one failed and is tested again, one was stopped."""
     codes = {
         "drift": {"code": "N2", "text": "drifts", "disposition": "scrap"},
@@ -102,10 +102,11 @@ def test_headline_yield_and_codes_agree_while_a_sensor_is_tested_again(tmp_path,
     midnight = began - timedelta(hours=1)
     monkeypatch.setattr("cbsr_qa.app.shift.summary.local_day", lambda: (midnight, midnight + timedelta(days=1)))
     content = shift_page(url, ("A",), frozenset([again]))
-    handover, over = content["handover"], content["over"]
-    assert (handover.passed, len(handover.failed), len(handover.running)) == (1, 1, 1)
-    assert (over.test_yield.passed, over.test_yield.count) == (1, 2)
-    assert [(code.code, code.sensors) for code in content["codes_given"]] == [("N2", 1)]
+    handover, total = content["handover"], content["summary"].total
+    assert (handover.passed, len(handover.failed), len(handover.running)) == (1, 2, 1)
+    assert (total.test_yield.passed, total.test_yield.count) == (1, 3)
+    assert (total.first_pass_yield.passed, total.first_pass_yield.count) == (1, 3)
+    assert [(code.code, code.sensors) for code in content["codes_given"]] == [("N2", 2)]
     shown = Pages(Line((), url)).page("shift", control=True, here="shift", **content)
     assert "2 limits failed; the worst: " in shown
     undecided = shown.partition("Sensors without a verdict</h2>")[2].partition("</table>")[0]

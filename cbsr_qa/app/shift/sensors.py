@@ -55,12 +55,13 @@ class SensorState:
 
 @dataclass(frozen=True, slots=True)
 class Handover:
-    """Sensors of a shift, each counted once: as running, else failed, else undecided, else passed.
+    """Sensors of a shift, each counted once: as failed, else undecided, else passed.
 
     Parameters
     ----------
-    failed, undecided, running : states of those sensors, the last tested first; of a sensor that was tested with
-        several recipes those that decide where it is counted.
+    failed, undecided : states of those sensors, the last tested first; of a sensor that was tested with several
+        recipes those that decide where it is counted.
+    running : states of sensors that are tested now; one that is tested again is counted by its earlier result too.
     passed : number of sensors.
     """
 
@@ -117,7 +118,7 @@ def sort_for_handover(runs: Sequence[ListedRun], in_progress: Collection[str]) -
     """
     states = list_states([run for run in runs if run.altered or not run.of_check])
     running = tuple(state for state in states if state.last.run in in_progress)
-    over = _leave_out(states, running)
+    over = [state for state in states if state.settled is not None or state not in running]
     failed = tuple(state for state in over if state.failed)
     not_failed = _leave_out(over, failed)
     undecided = tuple(state for state in not_failed if not state.passed)
