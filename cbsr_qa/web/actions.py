@@ -119,14 +119,17 @@ class Actions:
     def _recall_sensor(self, form: dict[str, str]) -> dict[str, str]:
         """Return the fields of parts and batch of a sensor that is scanned anew: as stated, else as in its last run.
 
-        Parts on the page are those of the sensor that it showed, if it showed one.
+        Parts on the page are those of the sensor that it showed, if it showed one. So is a batch that was filled in:
+        ``recalled``.
         """
         stated = "" if form.get("checked") else form.get("parts", "")
         latest = read_latest(self._line.database, validate_serial(form["serial"]))
-        fields = {"parts": stated or ("" if latest is None else ", ".join(map(str, latest.parts)))}
-        if latest is not None and not form.get("batch"):
-            fields["batch"] = latest.batch
-        return fields
+        batch = form.get("batch", "")
+        if batch == form.get("recalled"):
+            batch = ""
+        recalled = "" if batch or latest is None else latest.batch
+        parts = stated or ("" if latest is None else ", ".join(map(str, latest.parts)))
+        return {"parts": parts, "batch": batch or recalled, "recalled": recalled}
 
     def _refuse_elsewhere(self, station: str, serial: str) -> None:
         """Refuse a sensor that another station of the line is testing."""
@@ -138,7 +141,7 @@ class Actions:
     async def leave(self, station: str, form: dict[str, str]) -> Response:
         """Show the station as before a scan: the sensor is not tested now."""
         parts = [["gate", ""], *self._pages.idle_parts(station)]
-        return _json_answer(parts=parts, fields={"serial": ""})
+        return _json_answer(parts=parts, fields={"serial": "", "parts": ""})
 
     async def start(self, station: str, form: dict[str, str]) -> Response:
         """Start a run, or show why the gate refuses it."""

@@ -64,11 +64,24 @@ def test_the_latest_test_with_this_recipe_is_named_with_its_station_and_asks_for
     assert earlier_words(view.earlier) == f"{words} with {view.earlier.recipe} at line-8, just now."
 
 
-def test_a_test_with_another_recipe_is_named_and_needs_no_consent(served, database):
+@pytest.mark.parametrize(("outcome", "words"), [(Outcome.PASS, "Passed"), (Outcome.FAIL, "Failed")])
+def test_a_test_with_another_recipe_is_named_and_needs_consent_if_it_failed(served, database, outcome, words):
     with open_store(f"sqlite:///{database}") as store:
-        store_run(store, "S-1", _MEASURED, recipe="other", station="line-7", verdict=Verdict(Outcome.FAIL, "why"))
+        run = store_run(store, "S-1", _MEASURED, recipe="other", station="line-7", verdict=Verdict(outcome, "why"))
     view = _view(served, database)
-    assert (view.asks_again, earlier_words(view.earlier)) == ("", "Failed with other at line-7, just now.")
+    assert view.asks_again == (run if outcome is Outcome.FAIL else "")
+    assert earlier_words(view.earlier) == f"{words} with other at line-7, just now."
+
+
+def test_a_failure_with_another_recipe_stands_until_that_recipe_passes(served, database):
+    recipe, failed, passed = served.recipes[0].name, Verdict(Outcome.FAIL, "why"), Verdict(Outcome.PASS, "why")
+    with open_store(f"sqlite:///{database}") as store:
+        standing = store_run(store, "S-1", _MEASURED, recipe="other", verdict=failed)
+        store_run(store, "S-1", _MEASURED, recipe="other", end=EndReason.ABORTED)
+        store_run(store, "S-1", _MEASURED, recipe=recipe, verdict=passed)
+        assert _view(served, database).asks_again == standing
+        store_run(store, "S-1", _MEASURED, recipe="other", verdict=passed)
+    assert _view(served, database).earlier.recipe == recipe
 
 
 def test_a_run_without_a_result_is_named_and_needs_no_consent(served, database):
@@ -103,8 +116,9 @@ def test_the_scan_says_what_the_last_failure_asks_for_and_whether_the_recipe_is_
             assert f"by its last result: {todo}." in shown()
             assert f"Failed with {name} at " in shown()
             assert (f"Never tested with {recipe}." in shown()) == (name == "other")
-        store_run(store, "S-1", _MEASURED, recipe=recipe, tables=tables)
-    assert "by its last result" not in shown()
+        for name in (recipe, "other"):
+            store_run(store, "S-1", _MEASURED, recipe=name, tables=tables, verdict=Verdict(Outcome.PASS, "why"))
+            assert ("by its last result: retest." in shown()) == (name == recipe)  # that of the other one stands
 
 
 def _actions(served, database, *, elsewhere=None):
@@ -133,13 +147,15 @@ def test_a_sensor_keeps_the_parts_and_the_batch_of_its_latest_run(served, databa
     actions = _actions(served, database)
     again = _check(actions, serial="S-1")
     assert again["parts"][0] == ["gate", "S-1: 41 sheet=LOT7/B"]
-    assert again["fields"] == {"serial": "S-1", "batch": "41", "parts": "sheet=LOT7/B"}
+    assert again["fields"] == {"serial": "S-1", "batch": "41", "recalled": "41", "parts": "sheet=LOT7/B"}
     stated = _check(actions, serial="S-1", batch="42", parts="board=9")
     assert stated["parts"][0] == ["gate", "S-1: 42 board=9"]
     removed = _check(actions, serial="S-1", checked="S-1", batch="", parts="")  # somebody emptied the fields
     assert removed["parts"][0] == ["gate", "S-1:  "]
-    other = _check(actions, serial="S-2", checked="S-1", parts="board=9")
+    other = _check(actions, serial="S-2", checked="S-1", parts="board=9", batch="41", recalled="41")
     assert other["parts"][0] == ["gate", "S-2:  "]
+    with_batch = _check(actions, serial="S-2", checked="S-1", batch="41")  # a person stated it
+    assert with_batch["parts"][0] == ["gate", "S-2: 41 "]
 
 
 @pytest.mark.parametrize(

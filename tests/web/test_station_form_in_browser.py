@@ -26,10 +26,14 @@ _ADDRESS = "http://line.test"
 pytestmark = [pytest.mark.rest, pytest.mark.filterwarnings("ignore::DeprecationWarning")]  # of the browser's driver
 #: Keys of a scanner, all at once: a busy machine may be slow to pass on those of the browser's driver.
 _SCAN = """keys => {
-    const field = document.activeElement;
     for (const key of [...keys, "Enter"]) {
         const pressed = new KeyboardEvent("keydown", {key, bubbles: true, cancelable: true});
-        if (!field.dispatchEvent(pressed) || key === "Enter") continue;
+        if (!document.activeElement.dispatchEvent(pressed)) continue;
+        const field = document.activeElement;  // that of the key may have led to another
+        if (key === "Enter") {
+            field.form.requestSubmit();
+            continue;
+        }
         field.value += key;
         field.dispatchEvent(new InputEvent("input", {bubbles: true}));
     }
@@ -195,6 +199,32 @@ def test_a_scan_into_a_field_for_people_is_a_scan(page, stations, field):
     path, form = _posted(page, stations, 1)[0]
     assert (path, form["serial"], form[field]) == ("/stations/line-1/check", "S-123", "Lee")
     expect(place).to_have_value("Lee")
+
+
+@pytest.mark.parametrize("left", ["", "strict"])
+def test_a_scan_replaces_what_lies_in_the_scan_field(page, stations, left):
+    page.locator("#serial").fill(left)
+    page.wait_for_timeout(200)
+    page.evaluate(_SCAN, "S-123")
+    assert _posted(page, stations, 1)[0][1]["serial"] == "S-123"
+
+
+def test_a_scan_that_begins_outside_of_all_fields_is_whole(page, stations):
+    page.locator("#recipe").focus()
+    page.wait_for_timeout(200)
+    page.evaluate(_SCAN, "S-123")
+    assert _posted(page, stations, 1)[0][1]["serial"] == "S-123"
+
+
+def test_a_batch_that_was_filled_in_is_stated_once_a_person_changes_it(page, stations):
+    stations.answers["check"] = {"fields": {"serial": "S-6", "batch": "B7", "recalled": "B7"}}
+    page.locator("#serial").fill("S-6")
+    page.locator("#serial").press("Enter")
+    _posted(page, stations, 1)
+    expect(page.locator("#recalled")).to_have_value("B7")
+    page.locator("#batch").press("End")
+    page.locator("#batch").press_sequentially("x", delay=10)
+    expect(page.locator("#recalled")).to_have_value("")
 
 
 def test_a_name_that_a_person_types_and_ends_with_enter_is_no_scan(page, stations):

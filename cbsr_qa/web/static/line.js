@@ -185,6 +185,7 @@ function checkAgain() {
   serial.form.requestSubmit();
 }
 document.addEventListener("input", (event) => {
+  if (event.target.id === "batch") document.getElementById("recalled").value = "";  // stated by a person
   if (!isStated(event.target) || !shownSerial()) return;
   restated = true;
   showWrong();
@@ -312,6 +313,7 @@ document.addEventListener("keydown", (event) => {
   const scanned = event.key === "Enter" ? takeBurst(event) : "";
   if (scanned) {
     event.preventDefault();
+    lastKey = 0;
     scan(scanned);
     return;
   }
