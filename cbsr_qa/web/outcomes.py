@@ -11,6 +11,8 @@ from cbsr_qa.system.clock import write_local_time
 from cbsr_qa.web.state import Mode, Snapshot
 from cbsr_qa.web.texts import text
 
+#: Outcomes of which the limits that decided them are shown.
+SHOWN_OUTCOMES: Final = (Outcome.FAIL, Outcome.NOT_MEASURED, Outcome.MARGINAL)
 #: Sign of each kind of badge.
 SIGNS: Final = {
     "pass": "pass",

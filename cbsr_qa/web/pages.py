@@ -36,6 +36,8 @@ _LIVE_PARTS: Final = ("prompt", "marks", "legend", "step", "controls", "doing", 
 #: Most characters of a text that fit into half a line in the largest letters, and in the middle ones.
 _SHORT: Final = 14
 _MEDIUM: Final = 28
+#: Likewise of a serial number in the largest letters, beside a state.
+_SHORT_SERIAL: Final = 10
 #: Most limits that a page shows at once; the others are unfolded.
 SHOWN_LIMITS: Final = 4
 
@@ -64,6 +66,11 @@ class Part:
 def size_of(words: str) -> str:
     """Return how large a text can be written in one line: a class of the style sheet."""
     return "short" if len(words) <= _SHORT else "medium" if len(words) <= _MEDIUM else "long"
+
+
+def size_of_serial(serial: str) -> str:
+    """Return how large a serial number can be written beside a state, or below it."""
+    return "medium" if _SHORT_SERIAL < len(serial) <= _SHORT else size_of(serial)
 
 
 def minutes_left(snapshot: Snapshot) -> str:
@@ -216,6 +223,7 @@ def _environment() -> Environment:
         "cue": cue,
         "choose_disposition": choose_disposition,
         "size_of": size_of,
+        "size_of_serial": size_of_serial,
         "ago_words": ago_words,
         "earlier_words": earlier_words,
         "shown_limits": SHOWN_LIMITS,

@@ -15,11 +15,11 @@ from cbsr_qa.domain.errors import CbsrError, ConfigError
 from cbsr_qa.domain.plan.limits import Outcome, name_limit
 from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
-from cbsr_qa.domain.results.measurement import metric_words
+from cbsr_qa.domain.results.measurement import describe_judgement, metric_words, rank_judged
 from cbsr_qa.domain.results.report import Banner, Figure, Section
 from cbsr_qa.domain.run.states import EndReason, name_stopper
 from cbsr_qa.store.opening import open_store
-from cbsr_qa.web.outcomes import describe_decision
+from cbsr_qa.web.outcomes import SHOWN_OUTCOMES, describe_decision
 from cbsr_qa.web.texts import refusal_words, text
 
 if TYPE_CHECKING:
@@ -193,12 +193,15 @@ def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
 
 
 def run_page(database: str | None, run: str) -> dict[str, Any]:
-    """Return the content of the view of a run."""
+    """Return the content of the view of a run, with the limits that decided its outcome, the worst first."""
     with open_store(database_url(database)) as store:
         runs = store.lists.read_named([run])
+        measurements = store.lists.read_limited_measurements([run]).get(run, []) if runs else []
     if not runs:
         raise HTTPException(404, text("problem.no_run"))
-    return {"run": runs[0]}
+    outcome = None if runs[0].altered else runs[0].outcome
+    decisive = rank_judged(measurements, outcome) if outcome in SHOWN_OUTCOMES else []
+    return {"run": runs[0], "limits": tuple(describe_judgement(measurement) for measurement in decisive)}
 
 
 def search_page(database: str | None, wanted: str) -> dict[str, Any]:

@@ -21,6 +21,7 @@ from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.gate import read_disposition
 from cbsr_qa.web.guard import LOG
 from cbsr_qa.web.live_run import DrawnPlaces, LiveRun
+from cbsr_qa.web.outcomes import SHOWN_OUTCOMES
 from cbsr_qa.web.processes import Started, last_start
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, mode_of
 from cbsr_qa.web.stations import ServedStation
@@ -40,8 +41,6 @@ _HEALTH_S: Final = 15.0
 _RETRY_S: Final = 1.0
 #: Time within which a run in progress answers a page that has just begun [s].
 _ANSWERS_S: Final = 0.8
-#: Outcomes of which the limits that decided them are shown.
-_SHOWN_OUTCOMES: Final = (Outcome.FAIL, Outcome.NOT_MEASURED, Outcome.MARGINAL)
 #: Time without frames after which a run that takes them is in trouble [s].
 SILENT_S: Final = 60.0
 
@@ -240,7 +239,7 @@ def _list_failed(store: Repository, look: RunLook) -> Iterator[FailedLimit]:
     if look.outcome is None:
         for code in select_failure_codes(look.coded, None, str(look.end), ()):
             yield FailedLimit("", code)
-    if look.outcome in _SHOWN_OUTCOMES:
+    if look.outcome in SHOWN_OUTCOMES:
         before = store.lists.read_failed_before(look.run) if look.outcome is Outcome.FAIL else ()
         measurements = store.lists.read_limited_measurements([look.run]).get(look.run, [])
         for measurement in rank_judged(measurements, look.outcome):

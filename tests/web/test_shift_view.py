@@ -21,7 +21,7 @@ from cbsr_qa.studies.charts.charts import control_charts
 from cbsr_qa.studies.charts.request import ChartsRequest, ReferencePeriod
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
-from cbsr_qa.web.shift import shift_page
+from cbsr_qa.web.shift import run_page, shift_page
 
 _STEADY, _SHIFTED = Limit("drift", "1", None, 1.0), Limit("force_gain", "N/V", 8.0, 12.0)
 
@@ -113,3 +113,20 @@ def test_a_failed_sensor_has_failed_while_it_is_tested_again(tmp_path, monkeypat
     assert "S-4" in undecided
     assert "resume the run" in undecided
     assert "Retest" not in undecided
+
+
+def test_the_page_of_a_run_has_all_limits_that_decided_it_and_what_to_do(tmp_path):
+    codes = {"drift": {"code": "N2", "text": "drifts", "disposition": "scrap"}}
+    drifts = tuple(
+        Measurement("drift", value, "1", location=f"L{value:g}").judge(_STEADY) for value in (2.0, 3.0, 0.0)
+    )
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url, durable=False) as store:
+        failed = store_run(store, "S-1", drifts, tables={"failure_codes": codes})
+        passed = store_run(store, "S-2", drifts[-1:], verdict=Verdict(Outcome.PASS, "so"))
+    content = run_page(url, failed)
+    assert [limit.partition(" (allowed")[0] for limit in content["limits"]] == ["drift (L3) is 3", "drift (L2) is 2"]
+    shown = Pages(Line((), url)).page("run", control=True, here="", **content)
+    assert "Failed limits: 2, the worst first" in shown
+    assert "What to do: <strong>Scrap.</strong>" in shown
+    assert run_page(url, passed)["limits"] == ()

@@ -201,7 +201,13 @@ def _nearest(store: Repository, wanted: str) -> str:
     serials, parts = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
     alike, alike_parts = store.sensors.find_names(_list_typos(wanted.partition("=")[2] or wanted))
     serials, parts = serials | alike, parts | alike_parts
+    names = serials | {part.identifier for part in parts}
     if "=" in wanted:
-        without_revision = {f"{part.name}={part.identifier}" for part in parts}
-        return find_nearest(wanted, {*map(str, parts), *without_revision})
-    return find_nearest(wanted, serials | {part.identifier for part in parts})
+        names = {*map(str, parts), *(f"{part.name}={part.identifier}" for part in parts)}
+    digits = _digits(wanted)
+    close_digits = {digits, *_list_typos(digits)}  # a name that only looks alike is another sensor's: S-605 for S-801
+    return find_nearest(wanted, {name for name in names if _digits(name) in close_digits})
+
+
+def _digits(name: str) -> str:
+    return "".join(filter(str.isdigit, name)).lstrip("0")

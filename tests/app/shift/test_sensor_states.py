@@ -146,7 +146,14 @@ def test_a_sensor_has_a_state_for_each_recipe_and_its_last_verdict(store):
 
 @pytest.mark.parametrize(
     ("wanted", "nearest"),
-    [("lot8", "LOT8"), ("sheet=LOT9", "sheet=LOT8"), ("b", "B"), ("sheet=LOT7/D", "sheet=LOT7/C"), ("quartz", "")],
+    [
+        ("lot8", "LOT8"),
+        ("sheet=LOT9", "sheet=LOT8"),
+        ("b", "B"),
+        ("sheet=LOT7/D", "sheet=LOT7/C"),
+        ("LOT13", ""),
+        ("quartz", ""),
+    ],
 )
 def test_where_nothing_is_found_the_nearest_name_is_told(store, wanted, nearest):
     result = search_sensors(store, wanted)
