@@ -98,10 +98,10 @@ def gate_view(served: ServedStation, wanted: StartForm, database: str | None, *,
     quiet_outcomes = (GateOutcome.PASSED, GateOutcome.OFF)
     answers = tuple(answer for answer in result.answers if answer.outcome not in quiet_outcomes)
     view = GateView(result.refused is None, result.asks_pin, answers, recipe=wanted.recipe.name)
-    return _with_earlier(view, database, wanted.serial)
+    return _add_earlier(view, database, wanted.serial)
 
 
-def _with_earlier(view: GateView, database: str | None, serial: str) -> GateView:
+def _add_earlier(view: GateView, database: str | None, serial: str) -> GateView:
     """Return the view with what the sensor did before, and what its earlier run says to do with it."""
     with open_existing(database_url(database)) or nullcontext() as store:
         if store is None:

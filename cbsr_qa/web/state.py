@@ -104,7 +104,7 @@ class Snapshot:
     look : latest stored run; None before the first.
     failed : limits that decided the latest run's outcome, unless it passed; worst first.
     failed_before : the run of its sensor and recipe before it, if both failed.
-    stands : a failure of its sensor with another recipe, if the latest run passed; None without one.
+    standing_failure : a failure of its sensor with another recipe, if the latest run passed; None without one.
     todo : what is done with the sensor by that failure; empty if its recipe does not say.
     live : view of the run in progress; None without one.
     starting : sensor of the run that was started last; empty if none was, or by an earlier server.
@@ -129,7 +129,7 @@ class Snapshot:
     healthy: bool
     drawn: DrawnPlaces | None = None
     confirmed_by: str = ""
-    stands: RunLook | None = None
+    standing_failure: RunLook | None = None
     todo: str = ""
 
     @property

@@ -70,7 +70,7 @@ class StationWatch:
         self._begun_s = monotonic()
         self._failed: tuple[FailedLimit, ...] = ()
         self._failed_before: RunLook | None = None
-        self._stands: RunLook | None = None
+        self._standing_failure: RunLook | None = None
         self._todo = ""
         self._drawn: DrawnPlaces | None = None
 
@@ -144,7 +144,7 @@ class StationWatch:
             healthy=self._healthy,
             drawn=self._drawn,
             confirmed_by=name_confirmer(self.look) if self.look is not None and mode is Mode.DONE else "",
-            stands=self._stands,
+            standing_failure=self._standing_failure,
             todo=self._todo,
         )
         return True
@@ -169,7 +169,7 @@ class StationWatch:
         if look == self.look:
             return
         self.look, self._failed, self._failed_before, self._drawn = look, (), None, None
-        self._stands, self._todo = None, ""
+        self._standing_failure, self._todo = None, ""
         if look is not None and not look.altered:
             self._failed = tuple(_list_failed(store, look))
             if any(limit.measurement is not None and limit.measurement.location for limit in self._failed):
@@ -180,8 +180,8 @@ class StationWatch:
             if before is not None and before.verdict is Outcome.FAIL:
                 self._failed_before = before
         elif look is not None and look.verdict in (Outcome.PASS, Outcome.MARGINAL):
-            self._stands = store.live.find_standing_failure(look.serial, look.recipe)
-            self._todo = "" if self._stands is None else read_disposition(store, self._stands)
+            self._standing_failure = store.live.find_standing_failure(look.serial, look.recipe)
+            self._todo = "" if self._standing_failure is None else read_disposition(store, self._standing_failure)
 
     def _follow(self, store: Repository, plugins: Plugins, mode: Mode) -> str:
         """Read the data that the run in progress has stored; return the problem, empty without one."""

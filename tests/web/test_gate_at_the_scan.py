@@ -5,6 +5,7 @@ import json
 import sqlite3
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import closing
+from dataclasses import replace
 from types import SimpleNamespace
 
 import pytest
@@ -15,6 +16,7 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.run.states import EndReason
+from cbsr_qa.domain.run.station import StationCheck
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web import gate
 from cbsr_qa.web.actions import Actions
@@ -82,6 +84,16 @@ def test_a_failure_with_another_recipe_stands_until_that_recipe_passes(served, d
         assert _view(served, database).asks_again == standing
         store_run(store, "S-1", _MEASURED, recipe="other", verdict=passed)
     assert _view(served, database).earlier.recipe == recipe
+
+
+def test_a_golden_sensor_that_failed_a_check_of_a_station_may_be_tested(served, database):
+    with open_store(f"sqlite:///{database}") as store:
+        run = store_run(store, "S-1", _MEASURED, recipe="check", station="A", verdict=Verdict(Outcome.FAIL, "why"))
+        assert store.live.find_standing_failure("S-1", "other").run == run
+        began = store.live.find_run(run).started_at
+        check = StationCheck(store.new_id(), "A", "Zoë", began, "disc-100mm", 64 * "a", (), (), ())
+        store.stations.save_check(replace(check, golden_run=run))
+        assert store.live.find_standing_failure("S-1", "other") is None
 
 
 def test_a_run_without_a_result_is_named_and_needs_no_consent(served, database):

@@ -120,7 +120,8 @@ def test_a_pass_keeps_the_failure_with_another_recipe(url, watched, lifted):
         run = store_run(store, "S-1", (), station="only", recipe="usual", verdict=passed)
     _, (only,) = watched("only")
     snapshot = until(lambda: only.snapshot, "the station")
-    assert (snapshot.look.run, snapshot.stands and snapshot.stands.run) == (run, None if lifted else failed)
+    standing = snapshot.standing_failure
+    assert (snapshot.look.run, standing and standing.run) == (run, None if lifted else failed)
     shown = Pages(Line((), url)).fragment("verdict", s=snapshot, base="", asks_operator=False)
     assert ("This sensor failed with strict at other, just now: a pass with usual does not change" in shown) != lifted
     assert ("Put the sensor with those that failed." in shown) != lifted

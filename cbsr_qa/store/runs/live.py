@@ -20,6 +20,7 @@ from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.store.archives import with_arrays
 from cbsr_qa.store.damage import read_word, translate_errors
 from cbsr_qa.store.engine import reading, sqlite_file
+from cbsr_qa.store.golden import find_golden_runs
 from cbsr_qa.store.mapping import convert_row
 from cbsr_qa.store.runs.codec import frame_block, sample_block
 from cbsr_qa.store.runs.rows import current_state, decisions_of, load_record, phases_of
@@ -226,17 +227,21 @@ class LiveRuns:
         return _look(self._engine, which)
 
     def find_standing_failure(self, serial: str, recipe: str) -> RunLook | None:
-        """Return the latest failed run of a sensor with another recipe that no later result of that recipe lifts."""
+        """Return the latest failed run of a sensor with another recipe that no later pass with that recipe lifts.
+
+        Runs of a golden sensor that checked a station do not count: they judge the station.
+        """
         query = select(RunRow.run, RunRow.recipe).where(RunRow.serial == serial, RunRow.recipe != recipe)
-        settled_recipes = set()
+        passed_recipes = set()
         with reading(self._engine) as connection:
             others = connection.execute(query.order_by(RunRow.run.desc())).all()
+            golden = find_golden_runs(connection, [run for run, _ in others])
         for run, name in others:
-            look = None if name in settled_recipes else self.find_run(run)
+            look = None if run in golden or name in passed_recipes else self.find_run(run)
             if look is not None and look.verdict is Outcome.FAIL:
                 return look
             if look is not None and look.verdict in (Outcome.PASS, Outcome.MARGINAL):
-                settled_recipes.add(name)
+                passed_recipes.add(name)
         return None
 
     def find_run(self, run: str) -> RunLook | None:
