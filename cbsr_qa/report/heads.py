@@ -128,15 +128,15 @@ def _verdict(result: RunResult) -> Banner:
     final = result.overrides[-1].outcome if result.overrides else outcome
     let_through = final in (Outcome.PASS, Outcome.MARGINAL)
     actions = () if let_through else tuple(code.words for code in result.failure_codes)
-    return Banner(tone, _SYMBOLS[outcome], headline, reason, actions, _describe_failed_tries(result))
+    return Banner(tone, _SYMBOLS[outcome], headline, reason, actions, _describe_failed_runs(result))
 
 
-def _describe_failed_tries(result: RunResult) -> str:
+def _describe_failed_runs(result: RunResult) -> str:
     """Say that earlier tests of the sensor with the recipe failed, and on which days; empty if none did."""
     history = result.sensor_history
-    if history is None or not history.failed_tries:
+    if history is None or not history.failed_runs:
         return ""
-    days = list_names(list(dict.fromkeys(f"{run.started_at.astimezone():%Y-%m-%d}" for run in history.failed_tries)))
+    days = list_names(list(dict.fromkeys(f"{run.started_at.astimezone():%Y-%m-%d}" for run in history.failed_runs)))
     again = " as well" if result.verdict.outcome is Outcome.FAIL else ""
     return f"{capital(history.ordinal)} test with this recipe; failed on {days}{again}."
 

@@ -82,7 +82,7 @@ def _conclude(
     recipe, history, threads = configuration.recipe, store.changes.read_history(record), threading.enumerate()
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     # Read before plugins, which may leave no file to open.
-    failed_before = store.lists.read_failed_before(run) if sensor_history.failed_tries else ()
+    failed_before = store.lists.read_failed_before(run) if sensor_history.failed_runs else ()
     conclusion = evaluate_run(record, recipe, plugins, stages, standards=configuration.station.standards)
     issued_at = RealClock().wall().isoformat()
     paused = _pause_notes(record)

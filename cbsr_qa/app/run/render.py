@@ -184,7 +184,7 @@ def rebuilt(run: str, store: Repository, plugins: Plugins, *, imaged: bool = Tru
     history = store.changes.read_history(record)
     sensor_history = store.sensors.read_history(record.identity.sensor, record.identity.recipe, run)
     coded = restore(store.runs.read_configuration(run)).recipe.failure_codes
-    failed_before = store.lists.read_failed_before(run) if sensor_history.failed_tries else ()
+    failed_before = store.lists.read_failed_before(run) if sensor_history.failed_runs else ()
     if stored is None:
         without_result = _describe_unanalysed(record, resume_command(run, store))
         return replace(

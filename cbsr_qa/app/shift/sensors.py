@@ -204,10 +204,10 @@ def _nearest(store: Repository, wanted: str) -> str:
     names = serials | {part.identifier for part in parts}
     if "=" in wanted:
         names = {*map(str, parts), *(f"{part.name}={part.identifier}" for part in parts)}
-    digits = _digits(wanted)
+    digits = _extract_digits(wanted)
     close_digits = {digits, *_list_typos(digits)}  # a name that only looks alike is another sensor's: S-605 for S-801
-    return find_nearest(wanted, {name for name in names if _digits(name) in close_digits})
+    return find_nearest(wanted, {name for name in names if _extract_digits(name) in close_digits})
 
 
-def _digits(name: str) -> str:
+def _extract_digits(name: str) -> str:
     return "".join(filter(str.isdigit, name)).lstrip("0")

@@ -93,7 +93,7 @@ class SensorHistory:
         return tuple(run for run in self.earlier if run.recipe == self.recipe and not run.of_check)
 
     @property
-    def failed_tries(self) -> tuple[EarlierRun, ...]:
+    def failed_runs(self) -> tuple[EarlierRun, ...]:
         """Those of them that failed, by the override that holds if there is one."""
         return tuple(run for run in self.tries if run.final_outcome is Outcome.FAIL)
 

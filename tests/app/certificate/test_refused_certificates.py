@@ -125,7 +125,7 @@ def test_a_sensor_that_failed_is_refused_also_by_a_person(place, capsys):
 
 
 def _run_and_refuse(folder, serial, monkeypatch, capsys):
-    """Test a sensor with the files of a folder, and ask for its certificate; return why there is none."""
+    """Test a sensor with the files in a folder, request its certificate, and return why it was refused."""
     monkeypatch.setenv("CBSR_QA_VAR", str(folder / "var"))
     monkeypatch.chdir(folder)
     run = ("run", "--station", "station.toml", "--recipe", "recipe.toml", "--serial", serial, "--operator", "Ada")
