@@ -76,12 +76,13 @@ def port_of(process):
 
 
 def messages(text):
-    """Messages of lines, which hold no NaN."""
+    """Messages of lines, which hold no NaN; without "alive", which a busy machine sends at any place."""
 
     def refuse(constant):
         raise AssertionError(f"{constant} in a message")
 
-    return [json.loads(line, parse_constant=refuse) for line in text.splitlines()]
+    parsed = [json.loads(line, parse_constant=refuse) for line in text.splitlines()]
+    return [message for message in parsed if message["type"] != "alive"]
 
 
 class Board:

@@ -22,6 +22,12 @@ _HEADER = HeaderMessage(
 )  # fmt: skip
 
 
+@pytest.fixture(autouse=True)
+def no_alive_messages(monkeypatch):
+    """A machine that is busy for a second sends none among the messages that are counted."""
+    monkeypatch.setattr("cbsr_qa.app.stream.outlets._ALIVE_S", 3600.0)
+
+
 def frame(sequence):
     interval, flags = (1.0, 3.0), ("unsettled",)
     return FrameMessage(
@@ -74,7 +80,7 @@ def test_every_client_gets_every_message_in_order_and_a_late_one_the_header_firs
         outlets.close()
         assert [json.loads(line)["type"] for line in lines] == ["end"]
     late.close()
-    assert [m["sequence"] for m in read_all(first, b"{") if m["type"] != "alive"] == list(range(8))
+    assert [m["sequence"] for m in read_all(first, b"{")] == list(range(8))
 
 
 def test_a_client_that_does_not_read_delays_nobody_and_is_told_what_it_lost():
@@ -141,7 +147,8 @@ def test_more_clients_than_are_served_are_turned_away():
         client.close()
 
 
-def test_silence_is_filled_with_messages_that_say_that_the_stream_goes_on(tmp_path):
+def test_silence_is_filled_with_messages_that_say_that_the_stream_goes_on(tmp_path, monkeypatch):
+    monkeypatch.setattr("cbsr_qa.app.stream.outlets._ALIVE_S", 0.2)
     outlets, _ = opened(f"unix:{tmp_path / 's'}")
     with socket.socket(socket.AF_UNIX) as client:
         client.settimeout(10)
