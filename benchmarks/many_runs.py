@@ -29,7 +29,8 @@ from cbsr_qa.config.serials import validate_serial
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings, Operator
 from cbsr_qa.domain.results.charts import ChartReference
 from cbsr_qa.domain.results.fleet import RunSelection
-from cbsr_qa.domain.run.run import RunIdentity, RunStarted
+from cbsr_qa.domain.run.events import RunStarted
+from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.plugin.discovery import Plugins, discover

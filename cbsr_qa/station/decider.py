@@ -8,7 +8,8 @@ from dataclasses import replace
 
 from cbsr_qa.domain.readings.frames import join_frames, join_samples
 from cbsr_qa.domain.readings.loads import LoadRecord
-from cbsr_qa.domain.run.run import LoadFinished, PhaseRecord, PressDecided, RunEnded, RunEvent, RunIdentity, RunRecord
+from cbsr_qa.domain.run.events import LoadFinished, RunEnded, RunEvent
+from cbsr_qa.domain.run.run import PhaseRecord, PressDecided, RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.decisions import PressDecisions
 from cbsr_qa.station.documents import MemoryJournal

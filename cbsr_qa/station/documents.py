@@ -8,20 +8,17 @@ from typing import Final, TypeVar
 from cbsr_qa.domain.errors import AbortedError, CbsrError, SafetyError
 from cbsr_qa.domain.readings.frames import join_frames, join_samples
 from cbsr_qa.domain.run.attendance import AttendanceEvent, pauses_of, prompts_of
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,
-    PhaseRecord,
     PhaseStarted,
-    PressDecided,
     RunEnded,
     RunEvent,
-    RunIdentity,
-    RunRecord,
     SamplesTaken,
     Unloaded,
 )
+from cbsr_qa.domain.run.run import PhaseRecord, PressDecided, RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.failures import failure
 from cbsr_qa.station.interrupts import Interrupts

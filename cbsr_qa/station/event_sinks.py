@@ -10,7 +10,8 @@ from typing import Any, Final
 from cbsr_qa.domain.errors import CbsrError, DeliveryError
 from cbsr_qa.domain.plan.plan import EventSinkSpec
 from cbsr_qa.domain.run.event_documents import event_document, event_message
-from cbsr_qa.domain.run.run import RunConcluded, RunEvent, RunIdentity
+from cbsr_qa.domain.run.events import RunConcluded, RunEvent
+from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.plugin.creation import create_plugin
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.plugin.hooks import Kind

@@ -9,16 +9,8 @@ from typing import TYPE_CHECKING, Any, Final, Protocol
 from cbsr_qa.domain.errors import AbortedError, CbsrError, ConfigError, InstrumentError, SafetyError
 from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, LowerHover, MarkUnloaded, Release, TouchPlane
 from cbsr_qa.domain.readings.loads import LoadRecord
-from cbsr_qa.domain.run.run import (
-    PhaseFinished,
-    PhaseStarted,
-    PressDecided,
-    RunEnded,
-    RunEvent,
-    RunIdentity,
-    RunStarted,
-    StepStarted,
-)
+from cbsr_qa.domain.run.events import PhaseFinished, PhaseStarted, RunEnded, RunEvent, RunStarted, StepStarted
+from cbsr_qa.domain.run.run import PressDecided, RunIdentity
 from cbsr_qa.domain.run.states import SECOND_SIGNAL, EndReason
 from cbsr_qa.plugin.instruments import GuidedApplicator
 from cbsr_qa.station.bench import Bench

@@ -8,7 +8,7 @@ from numpy.typing import NDArray
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.domain.plan.steps import AcquireFrames, Press, Release
 from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock
-from cbsr_qa.domain.run.run import FramesTaken, RunEvent, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, RunEvent, StepStarted
 
 #: Fewest degrees of freedom that give a figure.
 _LEAST: Final = 5

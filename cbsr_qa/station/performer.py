@@ -1,8 +1,8 @@
-"""Execution of single steps on the bench, and the times of the current press until it is recorded."""
+"""Execution of single steps on the bench."""
 
 from collections import deque
 from collections.abc import Callable
-from dataclasses import dataclass, field, replace
+from dataclasses import replace
 from functools import partial
 from typing import TYPE_CHECKING, Final, TypeVar
 
@@ -22,71 +22,20 @@ from cbsr_qa.domain.plan.steps import (
     StrainStep,
 )
 from cbsr_qa.domain.readings.frames import FrameBlock, join_frames
-from cbsr_qa.domain.readings.loads import EasedStrain, Load, LoadRecord
+from cbsr_qa.domain.readings.loads import Load, LoadRecord
 from cbsr_qa.domain.run.attendance import RunContinued, RunPaused
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, StepRetried, Unloaded
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, StepRetried, Unloaded
 from cbsr_qa.station.bench import FRAME_SOURCE
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.limits import Limits
+from cbsr_qa.station.load_log import LoadLog
 from cbsr_qa.station.noise import relative_drift
 from cbsr_qa.station.plan import Activity, ScheduledStep, Spent, ends_rest, is_frame_worthwhile
 from cbsr_qa.station.safety import State, UnderWay, Watch
-from cbsr_qa.system.clock import passing, round_to_ticks
+from cbsr_qa.system.clock import passing
 
 if TYPE_CHECKING:
     from cbsr_qa.station.surface import SheetSurface
-
-
-@dataclass(slots=True)
-class LoadLog:
-    """The press under way.
-
-    Parameters
-    ----------
-    times_s : press start, hold start, release start, release end, as far as reached.
-    lift_off_s : time from the start of the lift until the head leaves the sheet; None if unknown.
-    """
-
-    index: int = -1
-    load: Load | None = None
-    times_s: list[float] = field(default_factory=list)
-    lift_off_s: float | None = None
-    eased: list[EasedStrain] = field(default_factory=list)
-
-    def begin(self, index: int, load: Load, now_s: float, lift_off_s: float) -> None:
-        self.index, self.load, self.times_s, self.lift_off_s = index, load, [now_s], lift_off_s
-        self.eased = []
-
-    def ease(self, strain: float, start_s: float, now_s: float, lift_off_s: float) -> None:
-        """Record that the head moved to another strain, from a time until now."""
-        self.eased.append(EasedStrain(strain, start_s, now_s))
-        self.lift_off_s = lift_off_s
-
-    def mark(self, now_s: float) -> None:
-        """Record that the head is down, starts up, or is up."""
-        self.times_s.append(now_s)
-
-    def lose_track(self) -> None:
-        """Drop the time the head left the sheet: the way up was not one movement, so it is unknown."""
-        self.lift_off_s = None
-
-    def finish(self, now_s: float) -> LoadRecord | None:
-        """Return the record of a press whose rest has ended, or None."""
-        if self.load is None or len(self.times_s) != 4:
-            return None
-        press_s, hold_s, release_s, up_s = self.times_s
-        times = (press_s, hold_s, release_s, up_s, now_s, self._clear_s())
-        record = LoadRecord(self.index, self.load, *times, eased=tuple(self.eased))
-        self.load = None
-        return record
-
-    def _clear_s(self) -> float | None:
-        if self.lift_off_s is None:
-            return None
-        _, _, release_s, up_s = self.times_s
-        # In ticks, like all times of a run; a head that is up has left the sheet.
-        return min(release_s + round_to_ticks(self.lift_off_s), up_s)
-
 
 T = TypeVar("T")
 
@@ -94,7 +43,6 @@ T = TypeVar("T")
 RETRY_PAUSE_S: Final = 0.25
 #: Remainder of a hold at which it counts as over: below the resolution of any clock after hours [s].
 _OVER_S: Final = 1e-9
-
 #: Longest computation between two presses on a busy computer [s].
 _COMPUTES_S: Final = 120.0
 

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING, Final, Self, TextIO
 
 from cbsr_qa.domain.plan.steps import Release
 from cbsr_qa.domain.run.attendance import RunContinued, RunPaused
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     PhaseStarted,
     RunEnded,
     RunEvent,

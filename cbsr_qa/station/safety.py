@@ -8,7 +8,7 @@ from functools import partial
 from typing import Final, Protocol, TypeVar
 
 from cbsr_qa.domain.errors import InstrumentError, SafetyError
-from cbsr_qa.domain.run.run import SamplesTaken
+from cbsr_qa.domain.run.events import SamplesTaken
 from cbsr_qa.plugin.instruments import Sampler
 from cbsr_qa.station.bench import Bench
 from cbsr_qa.station.documents import Documents

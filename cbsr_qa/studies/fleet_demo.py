@@ -17,16 +17,8 @@ from cbsr_qa.domain.plan.steps import Role
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load, LoadRecord
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.domain.run.run import (
-    InstrumentIdentity,
-    LoadFinished,
-    PhaseFinished,
-    PhaseStarted,
-    RunEnded,
-    RunEvent,
-    RunIdentity,
-    RunStarted,
-)
+from cbsr_qa.domain.run.events import LoadFinished, PhaseFinished, PhaseStarted, RunEnded, RunEvent, RunStarted
+from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.opening import open_store

@@ -6,7 +6,7 @@ from itertools import islice
 from typing import Any
 
 from cbsr_qa.domain.run.event_documents import event_document, event_message
-from cbsr_qa.domain.run.run import PhaseStarted, RunEvent, RunStarted, StepRetried
+from cbsr_qa.domain.run.events import PhaseStarted, RunEvent, RunStarted, StepRetried
 from cbsr_qa.plugin.interfaces import EventSink
 from cbsr_qa.testing.bench import example_identity
 from cbsr_qa.testing.checked import demand

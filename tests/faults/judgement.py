@@ -10,7 +10,8 @@ from numpy.typing import NDArray
 from short_run import HELD_FRAMES, NINE_PLACES, UNLOADED_FRAMES, configuration
 
 from cbsr_qa.domain.plan.steps import stroke_s
-from cbsr_qa.domain.run.run import RunEnded, RunRecord
+from cbsr_qa.domain.run.events import RunEnded
+from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.simulate.instruments.rig import EmulatedRig
 

@@ -23,7 +23,8 @@ from short_run import NINE_PLACES, configuration, plan_for, plugins
 
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import InstrumentError
-from cbsr_qa.domain.run.run import FramesTaken, RunEnded, RunEvent, RunIdentity, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, RunEnded, RunEvent, StepStarted
+from cbsr_qa.domain.run.run import RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.simulate.instruments.rig import Emulation

@@ -13,7 +13,7 @@ from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, VoltageUnit
 from cbsr_qa.domain.readings.loads import EasedStrain
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,

@@ -14,7 +14,8 @@ from cbsr_qa.config.serials import read_parts
 from cbsr_qa.domain.plan.limits import Limit
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.domain.run.run import PhaseFinished, RunEnded, RunRecord, RunStarted
+from cbsr_qa.domain.run.events import PhaseFinished, RunEnded, RunStarted
+from cbsr_qa.domain.run.run import RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.results import analyses
 

@@ -21,21 +21,19 @@ from cbsr_qa.domain.results.calibration import (
 )
 from cbsr_qa.domain.results.relaxation import FitStatus, RelaxationFit, SettlingTime
 from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
-    InstrumentIdentity,
     LoadFinished,
     PhaseFinished,
     PhaseStarted,
-    PressDecided,
     RunEnded,
-    RunIdentity,
     RunStarted,
     SamplesTaken,
     StepRetried,
     StepStarted,
     Unloaded,
 )
+from cbsr_qa.domain.run.run import InstrumentIdentity, PressDecided, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.sensor_type import Response, SensorIdentity, SensorPart

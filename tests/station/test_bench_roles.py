@@ -11,7 +11,8 @@ from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.domain.plan.plan import EMULATED, InstrumentSpec
 from cbsr_qa.domain.plan.steps import Hold
 from cbsr_qa.domain.readings.frames import SampleBlock
-from cbsr_qa.domain.run.run import InstrumentIdentity, SamplesTaken
+from cbsr_qa.domain.run.events import SamplesTaken
+from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.instruments import MeterReading
 from cbsr_qa.station.bench import Bench, Mounted, open_bench

@@ -11,7 +11,7 @@ from stopping import CYCLE, assert_made_safe, run
 from cbsr_qa.domain.errors import AbortedError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Prompt, Release
 from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, StepStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.control.desk import ControlDesk, Question
 from cbsr_qa.station.prompts import OperatorPrompt

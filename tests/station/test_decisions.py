@@ -8,7 +8,8 @@ from cbsr_qa.config.loader import load_recipe
 from cbsr_qa.domain.errors import ConfigError
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import LoadFinished, PressDecided, StepStarted
+from cbsr_qa.domain.run.events import LoadFinished, StepStarted
+from cbsr_qa.domain.run.run import PressDecided
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.interfaces import PressGoal
 from cbsr_qa.station.decisions import PressDecisions

@@ -12,7 +12,7 @@ from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.plan import steps as kinematics
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded, Press, Release, StrainStep
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.hooks import Kind

@@ -11,7 +11,7 @@ from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Press, Release, StrainStep
 from cbsr_qa.domain.readings.frames import FrameBlock, ReadingFlag, SampleBlock, VoltageUnit
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import FramesTaken, SamplesTaken, StepRetried
+from cbsr_qa.domain.run.events import FramesTaken, SamplesTaken, StepRetried
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.dry_runs import dry_run

@@ -10,7 +10,7 @@ from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.plan.steps import AcquireFrames, Hold, Press, Release
 from cbsr_qa.domain.readings.frames import FrameBlock, VoltageUnit
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import FramesTaken, PhaseStarted, RunStarted, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, PhaseStarted, RunStarted, StepStarted
 from cbsr_qa.station.control.status import RunStatus
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.noise import NoiseSoFar

@@ -5,7 +5,7 @@ from runner_samples import SET_UP, TOOK_S, cycle, kinds, load, lost, run
 
 from cbsr_qa.domain.errors import PluginError, StoreError
 from cbsr_qa.domain.plan.steps import Hold, Home, Press, Release, Role, StrainStep
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,

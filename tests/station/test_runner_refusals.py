@@ -10,7 +10,7 @@ from runner_samples import TOOK_S, cycle, kinds, load, run
 from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.domain.plan.steps import Hold, Press, Prompt, Release
-from cbsr_qa.domain.run.run import LoadFinished, PhaseFinished, RunEnded
+from cbsr_qa.domain.run.events import LoadFinished, PhaseFinished, RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted, open_bench
 from cbsr_qa.station.execution import execute

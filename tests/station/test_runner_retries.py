@@ -6,7 +6,7 @@ from runner_samples import SET_UP, TOOK_S, cycle, kinds, lost, run
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, MarkUnloaded
-from cbsr_qa.domain.run.run import LoadFinished, PhaseFinished, PhaseStarted, StepRetried, StepStarted, Unloaded
+from cbsr_qa.domain.run.events import LoadFinished, PhaseFinished, PhaseStarted, StepRetried, StepStarted, Unloaded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.execution import execute

@@ -7,7 +7,7 @@ import pytest
 from safety_runs import ROLES, SAFE, assert_safe, run
 
 from cbsr_qa.domain.errors import AbortedError, InstrumentError
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, PhaseStarted, RunEnded, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, PhaseStarted, RunEnded, StepStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import stop_all
 from cbsr_qa.system.clock import VirtualClock

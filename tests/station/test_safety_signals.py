@@ -7,7 +7,7 @@ import pytest
 from safety_runs import SHORT, assert_safe, run
 
 from cbsr_qa.domain.errors import AbortedError
-from cbsr_qa.domain.run.run import FramesTaken
+from cbsr_qa.domain.run.events import FramesTaken
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.execution import execute
 from cbsr_qa.station.interrupts import Interrupts, Stopped

@@ -8,7 +8,7 @@ import pytest
 
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, Press, Release
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import StepStarted
+from cbsr_qa.domain.run.events import StepStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.execution import execute

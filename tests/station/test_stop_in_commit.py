@@ -10,7 +10,7 @@ from tiers import rest_but
 
 from cbsr_qa.domain.plan.steps import Hold, Press, Release
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import FramesTaken, RunEnded
+from cbsr_qa.domain.run.events import FramesTaken, RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.execution import execute
 from cbsr_qa.store.opening import open_store

@@ -22,7 +22,7 @@ from cbsr_qa.domain.plan.steps import (
     spread_mm,
 )
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock, VoltageUnit
-from cbsr_qa.domain.run.run import FramesTaken, StepRetried, StepStarted, Unloaded
+from cbsr_qa.domain.run.events import FramesTaken, StepRetried, StepStarted, Unloaded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.station.dry_runs import dry_run

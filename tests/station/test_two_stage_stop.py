@@ -10,7 +10,7 @@ from stopping import ABORTS, BY, CYCLE, LOAD, ROLES, SAFE, after, dropped, run, 
 
 from cbsr_qa.domain.errors import AbortedError, InstrumentError, RefusedError, SafetyError
 from cbsr_qa.domain.plan.steps import Hold, Press, Prompt, Release, StrainStep
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, PhaseFinished, RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station import interrupts, watchdog
 from cbsr_qa.station.execution import execute

@@ -12,7 +12,7 @@ from stopping import CYCLE, SAFE, after, assert_made_safe, run, send
 from cbsr_qa.domain.errors import InstrumentError, SafetyError
 from cbsr_qa.domain.plan.plan import Motion
 from cbsr_qa.domain.plan.steps import Hold, Prompt
-from cbsr_qa.domain.run.run import FramesTaken
+from cbsr_qa.domain.run.events import FramesTaken
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station import watchdog
 from cbsr_qa.station.execution import execute

@@ -8,7 +8,7 @@ from stopping import CYCLE, LOAD, SAFE, run, send
 
 from cbsr_qa.domain.errors import AbortedError, InstrumentError
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, MarkUnloaded, Press, Release, StrainStep
-from cbsr_qa.domain.run.run import LoadFinished, RunEnded, RunStarted, StepStarted
+from cbsr_qa.domain.run.events import LoadFinished, RunEnded, RunStarted, StepStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa.testing.bench import Script, raising

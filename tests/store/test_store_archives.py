@@ -14,7 +14,7 @@ from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.measurement import Verdict
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.domain.run.run import RunEnded
+from cbsr_qa.domain.run.events import RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.runs import archiving

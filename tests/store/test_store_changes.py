@@ -23,7 +23,7 @@ from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
 from cbsr_qa.domain.results.run_result import RunResult
 from cbsr_qa.domain.run.changes import NO_REASON, Difference, FileKind, differences
-from cbsr_qa.domain.run.run import RunEnded, RunStarted
+from cbsr_qa.domain.run.events import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.engine import writing
 from cbsr_qa.store.opening import open_store

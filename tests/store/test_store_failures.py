@@ -12,7 +12,7 @@ from stored_runs import CONFIGURATION, SETTING, frames, journalled, short_run
 
 from cbsr_qa.app.database import database_status, upgrade_database
 from cbsr_qa.domain.errors import StoreError
-from cbsr_qa.domain.run.run import FramesTaken, RunEnded
+from cbsr_qa.domain.run.events import FramesTaken, RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.report.document import json_document
 from cbsr_qa.store import engine as engines, schema

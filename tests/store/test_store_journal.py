@@ -33,7 +33,7 @@ from cbsr_qa.domain.plan.steps import Press, Role, StrainStep
 from cbsr_qa.domain.readings.frames import FrameBlock, SampleBlock
 from cbsr_qa.domain.readings.loads import EasedStrain
 from cbsr_qa.domain.run.attendance import AskedPrompt, Pause, PromptShown, RunContinued, RunPaused
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,

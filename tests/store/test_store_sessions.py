@@ -15,7 +15,7 @@ from stored_runs import CONFIGURATION, SETTING, force, frames, identity, journal
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.plan.steps import FindSurface, Home, Press
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,

@@ -13,7 +13,7 @@ from cbsr_qa.app.run.control import confirm_bench
 from cbsr_qa.config.loader import load_station
 from cbsr_qa.domain.plan.limits import FailureCode, Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.run.run import RunEnded, RunStarted
+from cbsr_qa.domain.run.events import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation

@@ -14,7 +14,7 @@ from stored_runs import SETTING
 
 from cbsr_qa.domain.plan.limits import Limit, Outcome
 from cbsr_qa.domain.results.measurement import Measurement, Verdict
-from cbsr_qa.domain.run.run import RunStarted
+from cbsr_qa.domain.run.events import RunStarted
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.studies.charts.charts import control_charts

@@ -16,7 +16,7 @@ from cbsr_qa.config.merging import Configuration
 from cbsr_qa.config.paths import var_folder, writable_folder
 from cbsr_qa.domain.errors import AT_COMMAND_LINE, ConfigError, RefusedError
 from cbsr_qa.domain.plan.steps import Press
-from cbsr_qa.domain.run.run import RunEvent
+from cbsr_qa.domain.run.events import RunEvent
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.control.lock import station_held
 from cbsr_qa.station.control.messages import SensorUnderTest

@@ -15,18 +15,9 @@ from cbsr_qa.app.run.stopping import stoppable
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, BrokenRunError, StoreError
 from cbsr_qa.domain.filling import fill_from_object
+from cbsr_qa.domain.run.events import PhaseFinished, PhaseStarted, RunConcluded, RunEnded, RunEvent, RunStarted
 from cbsr_qa.domain.run.gate import GateAnswer, gate_warnings
-from cbsr_qa.domain.run.run import (
-    InstrumentIdentity,
-    PhaseFinished,
-    PhaseStarted,
-    RunConcluded,
-    RunEnded,
-    RunEvent,
-    RunIdentity,
-    RunRecord,
-    RunStarted,
-)
+from cbsr_qa.domain.run.run import InstrumentIdentity, RunIdentity, RunRecord
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import Plugins
 from cbsr_qa.report.tables import duration

@@ -12,19 +12,17 @@ from typing import Any, Final, Literal
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.run.attendance import PromptAnswered, PromptShown, RunContinued, RunPaused
-from cbsr_qa.domain.run.run import (
-    InstrumentIdentity,
+from cbsr_qa.domain.run.events import (
     PhaseFinished,
     PhaseStarted,
-    PressDecided,
     RunConcluded,
     RunEnded,
     RunEvent,
-    RunIdentity,
     RunStarted,
     StepRetried,
     Unloaded,
 )
+from cbsr_qa.domain.run.run import InstrumentIdentity, PressDecided, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.step_documents import (
     FramesTakenDocument,

@@ -11,7 +11,7 @@ from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.plan.steps import Step
 from cbsr_qa.domain.readings.frames import UNUSABLE, FrameBlock, SampleBlock
 from cbsr_qa.domain.readings.loads import EasedStrain
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, SamplesTaken, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, SamplesTaken, StepStarted
 
 
 @singledispatch

@@ -18,7 +18,7 @@ from typing import Any, Final, Self
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.run.event_documents import event_document
-from cbsr_qa.domain.run.run import PhaseStarted, RunEvent, StepStarted
+from cbsr_qa.domain.run.events import PhaseStarted, RunEvent, StepStarted
 from cbsr_qa.station.control.desk import ControlDesk
 from cbsr_qa.station.control.lock import control_socket, private_folder
 from cbsr_qa.station.control.messages import (

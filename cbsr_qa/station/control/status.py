@@ -8,7 +8,7 @@ from typing import Any, Final
 
 from cbsr_qa.domain.plan.steps import Press
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     LoadFinished,
     PhaseStarted,
     RunEnded,

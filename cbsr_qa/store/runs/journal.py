@@ -16,22 +16,21 @@ from sqlalchemy.orm import InstrumentedAttribute
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.readings.loads import Indenter, LoadRecord
 from cbsr_qa.domain.run.attendance import AttendanceEvent, PromptAnswered, PromptShown, RunContinued, RunPaused
-from cbsr_qa.domain.run.gate import GateAnswer
-from cbsr_qa.domain.run.run import (
+from cbsr_qa.domain.run.events import (
     FramesTaken,
     LoadFinished,
     PhaseFinished,
     PhaseStarted,
-    PressDecided,
     RunEnded,
     RunEvent,
-    RunIdentity,
     RunStarted,
     SamplesTaken,
     StepRetried,
     StepStarted,
     Unloaded,
 )
+from cbsr_qa.domain.run.gate import GateAnswer
+from cbsr_qa.domain.run.run import PressDecided, RunIdentity
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.sensor.sensor_type import Material, SensorType
 from cbsr_qa.store.chain.links import add_rows

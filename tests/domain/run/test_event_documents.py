@@ -17,7 +17,7 @@ from cbsr_qa.domain.plan.steps import AcquireFrames, Press
 from cbsr_qa.domain.readings.frames import ReadingFlag, SampleBlock
 from cbsr_qa.domain.readings.loads import Load
 from cbsr_qa.domain.run.event_documents import EventDocument, EventMessage, event_document
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, RunConcluded, RunEvent, SamplesTaken, StepStarted
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, RunConcluded, RunEvent, SamplesTaken, StepStarted
 from cbsr_qa.domain.run.states import EndReason
 
 

@@ -10,7 +10,7 @@ from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError
 from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.domain.plan.steps import AcquireFrames, FindSurface, Hold, Home, Press, Release
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import LoadFinished, SamplesTaken
+from cbsr_qa.domain.run.events import LoadFinished, SamplesTaken
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.instruments import StationContext
 from cbsr_qa.station.bench import Bench, Mounted

@@ -21,7 +21,7 @@ from cbsr_qa.domain.readings.frames import (
     join_samples,
 )
 from cbsr_qa.domain.readings.loads import Load
-from cbsr_qa.domain.run.run import FramesTaken, LoadFinished, SamplesTaken
+from cbsr_qa.domain.run.events import FramesTaken, LoadFinished, SamplesTaken
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.instruments import StationContext

@@ -12,7 +12,7 @@ from cbsr_qa.config.loader import load_station
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.domain.plan.steps import FindSurface, Hold, Press, Release, stroke_s, surface_search_s, travel_s
 from cbsr_qa.domain.readings.loads import NINE_LOCATIONS_MM, Load
-from cbsr_qa.domain.run.run import LoadFinished
+from cbsr_qa.domain.run.events import LoadFinished
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.station.bench import Bench, Mounted
 from cbsr_qa.station.execution import execute

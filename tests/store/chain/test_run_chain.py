@@ -23,8 +23,9 @@ from cbsr_qa.domain.results.charts import ChartReference
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Measurement, decide
 from cbsr_qa.domain.results.run_result import RunResult
+from cbsr_qa.domain.run.events import RunStarted
 from cbsr_qa.domain.run.gate import GateAnswer, GateOutcome
-from cbsr_qa.domain.run.run import ChainState, InstrumentIdentity, RunStarted
+from cbsr_qa.domain.run.run import ChainState, InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings, StationCheck
 from cbsr_qa.store.chain import fleet
 from cbsr_qa.store.chain.links import VARIABLE, SigningKey, link_digest

@@ -14,7 +14,7 @@ from cbsr_qa.domain.plan.limits import Outcome
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Verdict, decide
 from cbsr_qa.domain.results.run_result import RunResult
-from cbsr_qa.domain.run.run import RunEnded, RunStarted
+from cbsr_qa.domain.run.events import RunEnded, RunStarted
 from cbsr_qa.domain.run.states import EndReason, ResultState
 from cbsr_qa.domain.sensor.sensor_type import SensorIdentity
 from cbsr_qa.store.engine import open_engine, parse_url, writing

@@ -17,7 +17,7 @@ from cbsr_qa.config.serials import read_parts
 from cbsr_qa.domain.errors import RefusedError, StoreError
 from cbsr_qa.domain.results.fleet import RunSelection
 from cbsr_qa.domain.results.measurement import Measurement
-from cbsr_qa.domain.run.run import RunStarted
+from cbsr_qa.domain.run.events import RunStarted
 from cbsr_qa.store.engine import open_engine, parse_url, writing
 from cbsr_qa.store.opening import open_store
 

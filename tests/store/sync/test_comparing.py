@@ -10,7 +10,7 @@ from stored_runs import SETTING, identity, journalled, short_run
 from synced import assert_all_there, content, link_again, on_both, overridden, remove_run, run_of, sent
 from tiers import rest_but_named
 
-from cbsr_qa.domain.run.run import RunStarted
+from cbsr_qa.domain.run.events import RunStarted
 from cbsr_qa.store.sync.centre import refusals
 from cbsr_qa.store.sync.queue import let_go, list_held, send_again, waiting
 

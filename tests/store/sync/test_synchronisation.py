@@ -15,7 +15,7 @@ from synced import assert_all_there, at_once_on_both, content, everything, judge
 from tiers import REST, rest_after
 
 from cbsr_qa.domain.errors import LAST_UNRELEASED, StoreError
-from cbsr_qa.domain.run.run import FramesTaken, RunEnded
+from cbsr_qa.domain.run.events import FramesTaken, RunEnded
 from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.store import archives
 from cbsr_qa.store.chain.check import check_run
