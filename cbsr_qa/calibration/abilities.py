@@ -123,8 +123,8 @@ def _describe_expanded(calibration: Calibration) -> Iterator[str]:
         x_mm, y_mm = day.place_mm
         yield (
             f"Expanded uncertainty of {force_N:.3g} N: at most U = {day.U_N:#.2g} N (k = {day.k:.2f}, 95 %) on the"
-            f" day of calibration, at ({x_mm:z.3g}, {y_mm:z.3g}) mm; in use {use.U_N:#.2g} N (k ="
-            f" {use.k:.2f}). Largest part: {day.components[0].name}."
+            f" day of calibration, at ({x_mm:z.3g}, {y_mm:z.3g}) mm, mostly by {day.components[0].name}; in use"
+            f" {use.U_N:#.2g} N (k = {use.k:.2f}), mostly by {use.components[0].name}."
         ).replace("-", "−")
     yield (
         "The ± above is 1.96 standard errors as the sensor states them of a frame; U adds the other inputs that are"

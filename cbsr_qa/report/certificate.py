@@ -3,7 +3,6 @@
 from collections.abc import Iterator, Sequence
 from functools import cache
 from itertools import groupby
-from math import floor, log10
 from typing import Final
 
 from jinja2 import Template
@@ -106,8 +105,9 @@ def _read_style() -> Markup:
 
 def format_with_uncertainty(value: float, expanded: float) -> tuple[str, str]:
     """Return a value and U: U with two significant digits, the value to the same decimal (JCGM 100, 7.2.6)."""
-    decimals = max(1 - floor(log10(expanded)), 0)
-    return f"{value:.{decimals}f}".replace("-", "−"), f"{expanded:.{decimals}f}"
+    last_digit = 1 - int(f"{expanded:.1e}".partition("e")[2])
+    value_text, expanded_text = (f"{round(x, last_digit):z.{max(last_digit, 0)}f}" for x in (value, expanded))
+    return value_text.replace("-", "−"), expanded_text
 
 
 def choose_loads(checked: Sequence[CheckedLoad]) -> list[CheckedLoad]:

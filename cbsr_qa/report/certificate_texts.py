@@ -9,6 +9,7 @@ from typing import Final
 from cbsr_qa.domain.plan.standards import IN_USE_YEARS, StandardRole, find_standard
 from cbsr_qa.domain.results.certificate import NOT_STATED, Certificate, Replacement
 from cbsr_qa.domain.results.expanded_force import GAIN_DRIFT, MonteCarlo, list_missing
+from cbsr_qa.report.tables import plural
 
 #: Sentences of page and XML that are the same in every certificate.
 ITEM: Final = "Soft pressure sensor, read by electrical impedance tomography"
@@ -238,20 +239,22 @@ def describe_checked(certificate: Certificate) -> str:
 
 
 def _compare_with_random_numbers(certificate: Certificate) -> Iterator[str]:
-    """Yield how far intervals by random numbers reach beyond U, and why the law of propagation may not do."""
+    """Yield how much wider than k u intervals by random numbers are, and why the law of propagation may not do."""
     checked = (load.expanded for load in certificate.checked)
     forces = chain(certificate.forces, certificate.forces_in_use, checked)
     compared: list[tuple[float, MonteCarlo]] = [
-        (force.U_N, force.monte_carlo) for force in forces if force.monte_carlo is not None
+        (force.budget.expanded, force.monte_carlo) for force in forces if force.monte_carlo is not None
     ]
     if compared:
-        reasons = Counter(simulated.why for _, simulated in compared)
-        largest = max(simulated.half_width / U_N for U_N, simulated in compared)
-        yield (
-            f"U was compared with random numbers (JCGM 101:2008) where"
-            f" {'; where '.join(f'{why} ({count} of U)' for why, count in reasons.items())}:"
-            f" half their interval of 95 % is at most {largest:.2f} U."
+        counts = Counter(simulated.why for _, simulated in compared)
+        reasons = "; where ".join(f"{why} ({plural(count, 'value')} of U)" for why, count in counts.items())
+        widest = max(simulated.half_width / expanded_N for expanded_N, simulated in compared)
+        outcome = (
+            f"where half their interval of 95 % is wider than k u, it is U (at most {widest:.2f} times as wide)"
+            if widest > 1
+            else "no interval of 95 % is wider than U"
         )
+        yield f"The law of propagation was compared with random numbers (JCGM 101:2008) where {reasons}: {outcome}."
 
 
 def name_place(place_mm: tuple[float, float]) -> str:

@@ -154,10 +154,16 @@ def test_no_load_that_was_held_out_disappears():
 def test_an_interval_by_random_numbers_says_why_it_was_made():
     wide = replace(expanded_force(), monte_carlo=MonteCarlo(1000, 1.7, 2.3, "x is rectangular"))
     bent = replace(expanded_force(), monte_carlo=MonteCarlo(1000, 1.9, 2.1, "it bends"))
+    assert (wide.U_N, wide.k) == pytest.approx((0.3, 6.0))  # of u = 0.05 N
+    assert (bent.U_N, bent.k) == pytest.approx((0.10345, 2.069))
     made = certificate(forces=(wide, wide), forces_in_use=(bent, bent))
     (remark,) = [one for one in list_remarks(made) if "JCGM 101" in one]
-    assert "where x is rectangular (2 of U); where it bends (2 of U): half" in remark
-    assert "at most 2.90 U." in remark
+    assert "where x is rectangular (2 values of U); where it bends (2 values of U): " in remark
+    assert remark.endswith(
+        "where half their interval of 95 % is wider than k u, it is U (at most 2.90 times as wide)."
+    )
+    (narrow,) = [one for one in list_remarks(certificate(forces=(bent, bent))) if "JCGM 101" in one]
+    assert narrow.endswith("no interval of 95 % is wider than U.")
 
 
 def test_deviations_are_remarks_as_far_as_they_fit_and_the_others_are_counted():
@@ -202,7 +208,10 @@ def test_a_replacement_names_the_certificate_before_it_and_the_reason():
     [
         (1.23456, 0.0914, ("1.235", "0.091")),
         (1.23456, 0.104, ("1.23", "0.10")),
-        (-0.004, 0.11, ("−0.00", "0.11")),
+        (-0.004, 0.11, ("0.00", "0.11")),
+        (1.23, 0.0996, ("1.23", "0.10")),
+        (123.4, 9.96, ("123", "10")),
+        (1234.5, 123.4, ("1230", "120")),
         (12.3456, 1.26, ("12.3", "1.3")),
         (1234.5, 57.0, ("1234", "57")),
     ],

@@ -260,13 +260,18 @@ def _refusals(seen: _Seen, predicted: Array, line: QuasiStatic, stress: Array, e
 
 
 def _line(line: QuasiStatic, bend: tuple[float, float], middle: float, *, fitted: bool) -> QuasiStatic:
-    """The line with another intercept, turned about the change in the middle, which the map preserves."""
+    """The line with another intercept, turned about the change in the middle, which the map preserves.
+
+    Without a standard error where the intercept was not fitted and the material states none.
+    """
     change, variance = bend
     alpha, beta = line.slope.value, line.intercept.value
     by_slope, by_intercept = -alpha / middle, 1 - beta / middle
     source = (
         "fitted to this sensor's loads" if fitted else "assumed: all loads of the calibration have the same force"
     )
+    if not fitted and line.intercept.stderr is None:
+        return QuasiStatic(Parameter(alpha, None, line.slope.source), Parameter(beta, None, source))
     return QuasiStatic(
         slope=Parameter(alpha + by_slope * change, abs(by_slope) * sqrt(variance), line.slope.source),
         intercept=Parameter(beta + by_intercept * change, abs(by_intercept) * sqrt(variance), source),

@@ -48,9 +48,10 @@ def force_reductions(learned: LearnedForce, loads: Sequence[LoadObservation]) ->
     if not learned.fitted_intercept:
         lowest, highest = learned.model.stress_kPa
         alike = f"all loads had the same stress ({lowest:.3g} to {highest:.3g} kPa)"
+        unstated = "" if learned.line.intercept.stderr else ", which states no uncertainty of it"
         yield (
             f"{alike_strain or alike}: the intercept of the material's characteristic cannot be separated from the"
-            " sheet's response and is taken from the material"
+            f" sheet's response and is taken from the material{unstated}"
         )
     elif alike_strain:
         yield alike_strain

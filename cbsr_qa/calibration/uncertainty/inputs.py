@@ -150,7 +150,7 @@ class ForceInputs:
 
     def _line(self, point: ForcePoint) -> Iterator[ForceInput | str]:
         line, name = self.calibration.against_stress, "characteristic of the material"
-        if line.slope.stderr is None and line.intercept.stderr is None:
+        if not (line.slope.stderr or line.intercept.stderr):  # earlier calibrations hold 0 where none was stated
             yield name
             return
         stress_kPa = point.force_N / self.calibration.indenter.area_mm2 * 1e3

@@ -110,7 +110,7 @@ class ExpandedForce:
     force_N : stated force; of an error, the reference force.
     settling_s : time after the press's ramp for which it is stated.
     budget : uncertainty [N].
-    monte_carlo : distribution by random numbers where the model bends; None where it does not.
+    monte_carlo : distribution by random numbers where the law of propagation may not do; None where it does.
     """
 
     place_mm: tuple[float, float]
@@ -126,13 +126,18 @@ class ExpandedForce:
 
     @property
     def U_N(self) -> float:
-        """Expanded uncertainty."""
-        return self.budget.expanded
+        """Expanded uncertainty; half of the interval by random numbers where that is wider (JCGM 101, 8)."""
+        return (
+            self.budget.expanded
+            if self.monte_carlo is None
+            else max(self.budget.expanded, self.monte_carlo.half_width)
+        )
 
     @property
     def k(self) -> float:
-        """Coverage factor."""
-        return self.budget.k
+        """Coverage factor: U over the combined standard uncertainty."""
+        u_N = self.budget.standard_uncertainty
+        return self.U_N / u_N if u_N else self.budget.k
 
     @property
     def dof(self) -> float:

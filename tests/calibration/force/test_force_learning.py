@@ -87,6 +87,7 @@ def test_loads_all_alike_say_nothing_about_the_intercept():
     assert not result.fitted_intercept
     assert result.line.intercept.value == line().intercept.value
     assert "have the same force" in result.line.intercept.source
+    assert (result.line.intercept.stderr, result.line.slope.stderr) == (None, None)  # the material states none
 
 
 def test_an_assumed_intercept_is_as_unsure_as_its_material_says():

@@ -189,9 +189,14 @@ def test_a_line_whose_slope_and_intercept_are_partly_correlated_has_their_varian
     stress_kPa = 2.0 / area_mm2 * 1e3
     variance = (2e-4 * stress_kPa) ** 2 + 2e-3**2 - 2 * stress_kPa * 2e-7
     assert uncertainties(expanded)["characteristic of the material"] == pytest.approx(sqrt(variance) * area_mm2 / 4.5)
-    unknown = QuasiStatic(Parameter(4.5e-3, None, "paper"), Parameter(-1e-3, None, "assumed"))
-    (expanded,) = evaluate_forces(replace(stated, against_stress=unknown), [2.0], [PLACE])
+
+
+@pytest.mark.parametrize("stderr", [None, 0.0])
+def test_an_intercept_of_which_no_uncertainty_is_stated_is_named_not_exact(stated, stderr):
+    line = QuasiStatic(Parameter(4.5e-3, stderr, "paper"), Parameter(-1e-3, stderr, "assumed"))
+    (expanded,) = evaluate_forces(replace(stated, against_stress=line), [2.0], [PLACE])
     assert "characteristic of the material" in expanded.not_stated
+    assert "characteristic of the material" not in uncertainties(expanded)
 
 
 def test_what_comes_from_the_batch_is_a_part_of_the_maps_variance(stated):
