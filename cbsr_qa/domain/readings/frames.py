@@ -76,16 +76,16 @@ class FrameBlock:
             raise RefusedError(f"{self.time_s.shape[0]} times do not match voltages of shape {self.voltages.shape}")
         if self.flags.shape != self.voltages.shape:
             raise RefusedError(f"flags {self.flags.shape} do not match voltages {self.voltages.shape}")
-        if not np.isfinite(self.voltages).all():
-            raise RefusedError(
-                "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
-            )
         self._check_sizes()
 
     def _check_sizes(self) -> None:
-        beyond = np.argwhere(np.abs(self.voltages) > LARGEST_VALUE)
-        if len(beyond):
-            frame, drive, measure = beyond[0].tolist()
+        sizes = np.abs(self.voltages)
+        if not sizes.max(initial=0.0) <= LARGEST_VALUE:  # nor is that of NaN
+            if not np.isfinite(self.voltages).all():
+                raise RefusedError(
+                    "a frame holds a voltage that is not a finite number", remedy="flag it as missing instead"
+                )
+            frame, drive, measure = np.argwhere(sizes > LARGEST_VALUE)[0].tolist()
             raise RefusedError(
                 f"frame {frame}, drive pair {drive}, measure pair {measure} (all from 0) reads"
                 f" {self.voltages[frame, drive, measure]!s} {self.unit.value}; readings are at most"
@@ -138,11 +138,12 @@ class SampleBlock:
             raise RefusedError(f"channel {self.channel}: {self.time_s.shape} times for {self.values.shape} values")
         check_encodable(f"channel {self.channel!r}", self.channel, self.unit)
         for noun, unit, column in (("time", "s", self.time_s), ("value", self.unit, self.values)):
-            too_large = np.flatnonzero(np.abs(column) > LARGEST_VALUE)
-            if len(too_large):
+            too_large = np.abs(column) > LARGEST_VALUE
+            if too_large.any():
+                first = int(too_large.argmax())
                 raise RefusedError(
-                    f"channel {self.channel}: the {noun} of sample {too_large[0]} (from 0) is"
-                    f" {column[too_large[0]]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
+                    f"channel {self.channel}: the {noun} of sample {first} (from 0) is"
+                    f" {column[first]!s} {unit}; at most {LARGEST_VALUE:g} {unit} is allowed"
                 )
 
     def __len__(self) -> int:

@@ -334,7 +334,11 @@ def _frames(connection: Connection, phase: Row[Any], spans: list[Span]) -> tuple
     rows = _rows(connection, phase, FrameBlockRow, FrameBlockRow.block).all()
     blocks = [frame_block(row) for row in with_arrays(connection, rows)]
     counted = [within(block.time_s, spans) for block in blocks]
-    counted_blocks = [block.select(inside) for block, inside in zip(blocks, counted, strict=True) if inside.any()]
+    counted_blocks = [
+        block if inside.all() else block.select(inside)
+        for block, inside in zip(blocks, counted, strict=True)
+        if inside.any()
+    ]
     return join_frames(counted_blocks) if counted_blocks else None, sum(int((~inside).sum()) for inside in counted)
 
 
