@@ -18,6 +18,7 @@ SIGNS: Final = {
     "pass": "pass",
     "marginal": "marginal",
     "fail": "fail",
+    "standing": "warn",
     "not_measured": "unknown",
     "not_judged": "unknown",
     "none": "unknown",
@@ -56,6 +57,14 @@ def verdict_kind(look: RunLook | None) -> str:
     return _kind_of_end(look.end, look.detail) or _kind_of_verdict(look.verdict)
 
 
+def kind_of_sensor(snapshot: Snapshot) -> str:
+    """Return the kind of what is said of the sensor at a station, a key of :data:`SIGNS`.
+
+    A sensor that passed is no good part while its failure with another recipe stands.
+    """
+    return "standing" if snapshot.standing_failure is not None else verdict_kind(snapshot.look)
+
+
 def kind_of_result(run: ListedRun, in_progress: frozenset[str]) -> str:
     """Return the kind of a listed run's result, a key of :data:`SIGNS`."""
     if run.run in in_progress:
@@ -91,9 +100,20 @@ def cue(snapshot: Snapshot | None) -> str:
         return ""
     if mode is Mode.CONCLUDING or snapshot.not_started:
         return f"end {look.run} {look.session_at} {snapshot.not_started}"
-    kind = verdict_kind(look)
+    kind = kind_of_sensor(snapshot)
     sounds = {"pass": "pass", "marginal": "pass", "fail": "fail", "aborted": "end"}
     return f"{sounds.get(kind, 'attention')} {look.run} {look.session_at}"
+
+
+def standing_words(failed: RunLook, recipe: str) -> str:
+    """Return that a sensor's failure stands, though it passed with this recipe."""
+    return text(
+        "failed.stands",
+        recipe=failed.recipe,
+        station=failed.station,
+        ago=ago_words(failed.worked_at),
+        passed=recipe,
+    )
 
 
 def ago_words(moment: datetime) -> str:

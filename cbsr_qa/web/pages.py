@@ -23,7 +23,9 @@ from cbsr_qa.web.outcomes import (
     cue,
     earlier_words,
     kind_of_result,
+    kind_of_sensor,
     reason_words,
+    standing_words,
     verdict_kind,
 )
 from cbsr_qa.web.shift import describe_run
@@ -228,6 +230,8 @@ def _environment() -> Environment:
         "earlier_words": earlier_words,
         "shown_limits": SHOWN_LIMITS,
         "kind_of_result": kind_of_result,
+        "kind_of_sensor": kind_of_sensor,
+        "standing_words": standing_words,
         "reason_words": reason_words,
         "describe_run": describe_run,
         "minutes_left": minutes_left,

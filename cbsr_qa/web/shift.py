@@ -19,7 +19,9 @@ from cbsr_qa.domain.results.measurement import describe_judgement, metric_words,
 from cbsr_qa.domain.results.report import Banner, Figure, Section
 from cbsr_qa.domain.run.states import EndReason, name_stopper
 from cbsr_qa.store.opening import open_store
-from cbsr_qa.web.outcomes import SHOWN_OUTCOMES, describe_decision
+from cbsr_qa.store.repository import Repository
+from cbsr_qa.web.gate import read_disposition
+from cbsr_qa.web.outcomes import SHOWN_OUTCOMES, describe_decision, standing_words
 from cbsr_qa.web.texts import refusal_words, text
 
 if TYPE_CHECKING:
@@ -83,13 +85,14 @@ def shift_page(
             if run.run in in_progress | resumed or run.started_at + timedelta(seconds=run.station_s) > since
         ]
         runs = (*over_midnight, *store.lists.read_runs(selection))
+        earlier = _find_standing(store, runs, in_progress)
         references = {name: store.charts.read_current(name) for name in stations}
     groups = dict.fromkeys(
         (name, reference.recipe, reference.golden or "")
         for name, station_references in references.items()
         for reference in station_references
     )
-    handover = sort_for_handover(runs, in_progress)
+    handover = sort_for_handover((*earlier, *runs), in_progress)
     summary = summarise_runs(runs)
     return {
         "day": since,
@@ -102,6 +105,17 @@ def shift_page(
         "runs": tuple(reversed(runs)),
         "charts": tuple(_charts(database, *group) for group in groups),
     }
+
+
+def _find_standing(
+    store: Repository, runs: tuple[ListedRun, ...], in_progress: frozenset[str]
+) -> tuple[ListedRun, ...]:
+    """Return the failures before a shift that stand, though the sensors passed in it with other recipes."""
+    latest = {run.serial: run for run in runs if run.run not in in_progress and not run.of_check}
+    passed = [run for run in latest.values() if run.passed]
+    failed = [store.live.find_standing_failure(run.serial, run.recipe) for run in passed]
+    known = {run.run for run in runs}
+    return store.lists.read_named(sorted(run.run for run in failed if run is not None and run.run not in known))
 
 
 def _describe_handover(handover: "Handover") -> str:
@@ -187,21 +201,34 @@ def sensor_page(database: str | None, serial: str) -> dict[str, Any]:
     with open_store(database_url(database)) as store:
         runs = sensor_runs(store, serial)
         altered = store.sensors.find_altered_lately({run.run for run in runs})
-    if not runs:
-        raise HTTPException(404, text("problem.no_sensor", serial=serial))
-    return {"serial": serial, "runs": tuple(reversed(runs)), "altered": len(altered)}
+        if not runs:
+            raise HTTPException(404, text("problem.no_sensor", serial=serial))
+        standing = _describe_standing(store, runs[-1])
+    return {"serial": serial, "runs": tuple(reversed(runs)), "altered": len(altered), "standing": standing}
 
 
 def run_page(database: str | None, run: str) -> dict[str, Any]:
     """Return the content of the view of a run, with the limits that decided its outcome, the worst first."""
     with open_store(database_url(database)) as store:
         runs = store.lists.read_named([run])
-        measurements = store.lists.read_limited_measurements([run]).get(run, []) if runs else []
-    if not runs:
-        raise HTTPException(404, text("problem.no_run"))
+        if not runs:
+            raise HTTPException(404, text("problem.no_run"))
+        measurements = store.lists.read_limited_measurements([run]).get(run, [])
+        standing = _describe_standing(store, runs[0])
     outcome = None if runs[0].altered else runs[0].outcome
     decisive = rank_judged(measurements, outcome) if outcome in SHOWN_OUTCOMES else []
-    return {"run": runs[0], "limits": tuple(describe_judgement(measurement) for measurement in decisive)}
+    limits = tuple(describe_judgement(measurement) for measurement in decisive)
+    return {"run": runs[0], "limits": limits, "standing": standing}
+
+
+def _describe_standing(store: Repository, run: ListedRun) -> str:
+    """Say which failure with another recipe stands, and what to do; empty of a sensor that is as good as its run."""
+    failed = store.live.find_standing_failure(run.serial, run.recipe) if run.passed else None
+    if failed is None:
+        return ""
+    todo = read_disposition(store, failed)
+    todo = f"{todo[:1].upper()}{todo[1:]}." if todo else text("todo.fail")
+    return f"{standing_words(failed, run.recipe)} {text('station.what_to_do')}: {todo}"
 
 
 def search_page(database: str | None, wanted: str) -> dict[str, Any]:

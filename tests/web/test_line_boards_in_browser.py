@@ -58,6 +58,9 @@ def _boards(look, serial):
             "line-1", mode, None, replace(shown, serial=serial), (), None, None, serial, "", "", "", True
         )
         yield f"{mode}-{kind}", site.fragment("state", s=snapshot, name="line-1")
+        if (kind, mode) == ("pass", Mode.DONE):
+            standing = replace(snapshot, standing_failure=look)
+            yield "done-standing", site.fragment("state", s=standing, name="line-1")
     for kind in ("may", "again", "refused"):
         yield f"scanned-{kind}", site.fragment("scanned", name="line-1", serial=serial, kind=kind)
 

@@ -21,7 +21,7 @@ def test_pages_use_the_catalogue_and_all_of_it():
     kinds = {str(one).replace(" ", "_") for one in (*Outcome, EndReason.ABORTED, EndReason.BROKEN, ALTERED)}
     kinds |= {"none", "interrupted", "emergency"}
     joined = {f"{group}.{kind}" for group in ("outcome", "todo") for kind in kinds}
-    joined |= {"outcome.running", *(f"mode.{mode}" for mode in Mode)}
+    joined |= {"outcome.running", "outcome.standing", *(f"mode.{mode}" for mode in Mode)}
     joined |= {f"failed.{kind}" for kind in ("fail", "not_measured", "marginal")}
     joined |= {f"scanned.{kind}" for kind in ("may", "again", "refused")} | {"todo.unsafe"}
     joined |= {f"station.{mode}" for mode in (Mode.STARTING, Mode.CONCLUDING, Mode.HELD)}

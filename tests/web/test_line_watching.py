@@ -15,6 +15,7 @@ from cbsr_qa.store.opening import open_store
 from cbsr_qa.web import watching
 from cbsr_qa.web.channel import ChannelClient
 from cbsr_qa.web.line import Line
+from cbsr_qa.web.outcomes import cue
 from cbsr_qa.web.pages import Pages
 from cbsr_qa.web.stations import ServedStation
 from cbsr_qa.web.watching import StationWatch, Watcher
@@ -125,6 +126,11 @@ def test_a_pass_keeps_the_failure_with_another_recipe(url, watched, lifted):
     shown = Pages(Line((), url)).fragment("verdict", s=snapshot, base="", asks_operator=False)
     assert ("This sensor failed with strict at other, just now: a pass with usual does not change" in shown) != lifted
     assert ("Put the sensor with those that failed." in shown) != lifted
+    names = {"s": snapshot, "name": "only", "is_simulated": False}
+    for part in ("state", "card"):
+        html = Pages(Line((), url)).fragment(part, **names)
+        assert ("Still failed" in html, "Passed" in html, "sign-warn" in html) == (not lifted, lifted, not lifted)
+    assert cue(snapshot).partition(" ")[0] == ("pass" if lifted else "attention")
 
 
 def test_a_backlog_that_is_too_old_is_no_good_health(url, tmp_path, watched):

@@ -21,7 +21,7 @@ from cbsr_qa.studies.charts.charts import control_charts
 from cbsr_qa.studies.charts.request import ChartsRequest, ReferencePeriod
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.pages import Pages
-from cbsr_qa.web.shift import run_page, shift_page
+from cbsr_qa.web.shift import run_page, sensor_page, shift_page
 
 _STEADY, _SHIFTED = Limit("drift", "1", None, 1.0), Limit("force_gain", "N/V", 8.0, 12.0)
 
@@ -113,6 +113,39 @@ def test_a_failed_sensor_has_failed_while_it_is_tested_again(tmp_path, monkeypat
     assert "S-4" in undecided
     assert "resume the run" in undecided
     assert "Retest" not in undecided
+
+
+def test_the_pages_of_a_sensor_that_passed_say_which_failure_stands_and_what_to_do(tmp_path):
+    codes = {"drift": {"code": "N2", "text": "drifts", "disposition": "scrap"}}
+    drifts = (Measurement("drift", 2.0, "1").judge(_STEADY),)
+    passed, url = Verdict(Outcome.PASS, "so"), f"sqlite:///{tmp_path / 'runs.db'}"
+    words = "This sensor failed with strict at line-7, just now: a pass with usual does not change that. "
+    words += "What to do: Scrap."
+    with open_store(url, durable=False) as store:
+        store_run(store, "S-1", drifts, recipe="strict", station="line-7", tables={"failure_codes": codes})
+        run = store_run(store, "S-1", (), recipe="usual", verdict=passed)
+        assert (run_page(url, run)["standing"], sensor_page(url, "S-1")["standing"]) == (words, words)
+        for view, content in (("run", run_page(url, run)), ("sensor", sensor_page(url, "S-1"))):
+            shown = Pages(Line((), url)).page(view, control=True, here="", **content)
+            assert (words in shown, "those that passed" in shown) == (True, False)
+        store_run(store, "S-1", (), recipe="strict", verdict=passed)
+        assert (run_page(url, run)["standing"], sensor_page(url, "S-1")["standing"]) == ("", "")
+
+
+def test_a_sensor_that_passed_today_is_handed_over_as_failed_while_an_earlier_failure_stands(tmp_path, monkeypatch):
+    drifts = (Measurement("drift", 2.0, "1").judge(_STEADY),)
+    url = f"sqlite:///{tmp_path / 'runs.db'}"
+    with open_store(url, durable=False) as store:
+        failed = store_run(store, "S-1", drifts, recipe="strict", station="A")
+        runs = [
+            store_run(store, f"S-{number}", (), recipe="usual", station="A", day=1, verdict=Verdict(Outcome.PASS, ""))
+            for number in (1, 2)
+        ]
+        midnight = store.live.find_run(runs[0]).started_at - timedelta(hours=1)
+    monkeypatch.setattr("cbsr_qa.app.shift.summary.local_day", lambda: (midnight, midnight + timedelta(days=1)))
+    content = shift_page(url, ("A",))
+    assert [run.run for run in content["runs"]] == runs[::-1]
+    assert ([state.last.run for state in content["handover"].failed], content["handover"].passed) == ([failed], 1)
 
 
 def test_the_page_of_a_run_has_all_limits_that_decided_it_and_what_to_do(tmp_path):
