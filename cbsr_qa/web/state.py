@@ -109,6 +109,7 @@ class Snapshot:
     live : view of the run in progress; None without one.
     starting : sensor of the run that was started last; empty if none was, or by an earlier server.
     refused : reason why the run that was started last never began; empty otherwise.
+    cancelled : whether somebody cancelled its start.
     trouble : reason why the store cannot be read, or the run cannot be followed; empty otherwise.
     health, healthy : state of the station in words, and whether it is in order.
     drawn : sheet and places of the latest run, if a limit of a place decided its outcome.
@@ -131,6 +132,7 @@ class Snapshot:
     confirmed_by: str = ""
     standing_failure: RunLook | None = None
     todo: str = ""
+    cancelled: bool = False
 
     @property
     def not_started(self) -> str:

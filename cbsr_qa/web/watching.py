@@ -92,6 +92,12 @@ class StationWatch:
         """Whether the run that was started last is stored, at least with its beginning."""
         return self.started is not None and self.look is not None and self.look.worked_at > self.started.at
 
+    @property
+    def _cancelled(self) -> bool:
+        """Whether somebody cancelled the start of the run that was started last."""
+        started = self.started
+        return started is not None and not self._begun and bool(started.cancelled_by) and started.ended is not None
+
     def wake(self) -> None:
         """Have a look soon."""
         self._due = True
@@ -139,6 +145,7 @@ class StationWatch:
             live=live,
             starting=started.what if started is not None else "",
             refused=self._describe_refusal(),
+            cancelled=self._cancelled,
             trouble=trouble,
             health=self._health,
             healthy=self._healthy,
@@ -210,7 +217,7 @@ class StationWatch:
         started = self.started
         if started is None or self._begun:
             return ""
-        if started.cancelled_by and started.ended is not None:
+        if self._cancelled:
             return text("station.cancelled", by=started.cancelled_by)
         words = started.describe_refusal()
         if not words or started.process is not None:

@@ -228,6 +228,22 @@ def test_after_a_start_that_came_to_nothing_no_other_sensors_verdict_is_shown(st
     assert "Did not start" not in pages.fragment("state", s=replace(ended, refused=""), **names)
 
 
+def test_a_start_that_somebody_cancelled_looks_neither_failed_nor_broken(store, tmp_path):
+    look = store.live.find_run(store_run(store, "S-1", (), verdict=_PASSED))
+    pages = Pages(Line((), str(tmp_path / "runs.db")))
+    for cancelled in (True, False):
+        s = replace(_snapshot(look, Mode.DONE), starting="S-2", refused="Nothing has moved.", cancelled=cancelled)
+        state, card, why = (
+            pages.fragment(part, s=s, name="bench", is_simulated=False) for part in ("state", "card", "refused")
+        )
+        assert ("board aborted" in state, "board refused" in state) == (cancelled, not cancelled)
+        assert ("badge aborted" in card, "badge refused" in card) == (cancelled, not cancelled)
+        assert ("trouble cancelled" in why) is cancelled
+        assert ["sign-fail" in html or "sign-warn" in html for html in (state, card, why)] == 3 * [not cancelled]
+        assert "Did not start" in state
+        assert "Did not start" in card
+
+
 def test_a_pressed_place_does_not_look_as_if_it_had_passed_or_failed():
     load = SimpleNamespace(label="L1", x_mm=0.0, y_mm=0.0)
     seen = {band: Place(load, PlacePreview(1.0, 70.0, band), now=False) for band in ("good", "ok", "poor")}
