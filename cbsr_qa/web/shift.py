@@ -12,7 +12,7 @@ from starlette.exceptions import HTTPException
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.config.serials import validate_serial
 from cbsr_qa.domain.errors import CbsrError, ConfigError
-from cbsr_qa.domain.plan.limits import Outcome, name_limit
+from cbsr_qa.domain.plan.limits import Outcome, choose_disposition, name_limit
 from cbsr_qa.domain.results.fleet import MetricKey, RunSelection
 from cbsr_qa.domain.results.listed import ListedRun
 from cbsr_qa.domain.results.measurement import describe_judgement, metric_words, rank_judged
@@ -134,13 +134,13 @@ def _describe_handover(handover: "Handover") -> str:
         words = text("handover.one" if tested == 1 else "handover.tested", count=tested, ends=ends)
     if running := count_sensors(handover.running):
         words += text("handover.one_runs" if running == 1 else "handover.run", count=running)
-    failed = [
-        text("handover.one_failed", serial=state.last.serial, codes=", ".join(map(str, codes)))
-        if (codes := state.shown.failure_codes)
-        else state.last.serial
-        for state in handover.failed
-    ]
-    return f"{words}." + (text("handover.failed_are", sensors=", ".join(failed)) if failed else "")
+    failed = []
+    for state in handover.failed:
+        codes = state.shown.failure_codes
+        sensor = " ".join(filter(None, (state.last.serial, ", ".join(map(str, codes)))))
+        todo = choose_disposition(codes)
+        failed.append(text("handover.one_failed", sensor=sensor, todo=todo) if todo else sensor)
+    return f"{words}." + (text("handover.failed_are", sensors="; ".join(failed)) if failed else "")
 
 
 def _describe_limit(key: MetricKey) -> str:

@@ -76,7 +76,9 @@ def test_the_shift_is_handed_over_in_a_sentence_with_what_to_do(shift):
     page = Pages(Line((), url)).page("shift", control=True, here="shift", **view)
     words = read(page)
     assert "4 sensors were tested: 2 passed, 1 failed, 1 without a verdict; 1 is still running." in words
-    assert " Failed: S-0503-WITH-A-VERY-LONG-SERIAL-NUMBER (P2)." in words
+    assert (
+        " Failed: S-0503-WITH-A-VERY-LONG-SERIAL-NUMBER P2: retest & weigh (it has failed 2 times with P2)." in words
+    )
     assert "Today, 2026-11-21 (" in words
     failed = words.partition("Failed sensors")[2].partition("Sensors without a verdict")[0]
     assert "P2 a load is <imaged> too large" in failed

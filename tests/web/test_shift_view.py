@@ -107,6 +107,7 @@ def test_a_failed_sensor_has_failed_while_it_is_tested_again(tmp_path, monkeypat
     assert (total.test_yield.passed, total.test_yield.count) == (1, 3)
     assert (total.first_pass_yield.passed, total.first_pass_yield.count) == (1, 3)
     assert [(code.code, code.sensors) for code in content["codes_given"]] == [("N2", 2)]
+    assert content["sentence"].endswith(" Failed: S-3 N2: scrap; S-2 N2: scrap.")
     shown = Pages(Line((), url)).page("shift", control=True, here="shift", **content)
     assert "2 limits failed; the worst: " in shown
     undecided = shown.partition("Sensors without a verdict</h2>")[2].partition("</table>")[0]
