@@ -232,10 +232,10 @@ def _describe_standing(store: Repository, run: ListedRun) -> str:
 
 
 def search_page(database: str | None, wanted: str) -> dict[str, Any]:
-    """Return the content of the page of a search: sensors, or why a text can be neither serial number nor part."""
-    from cbsr_qa.app.shift.sensors import search_sensors
+    """Return the content of the page of a search: sensors, or why a text can be no name."""
+    from cbsr_qa.app.shift.sensors import OPERATOR_RUNS, search_sensors
 
-    view: dict[str, Any] = {"wanted": wanted, "found": None, "refused": ""}
+    view: dict[str, Any] = {"wanted": wanted, "found": None, "refused": "", "operator_runs": OPERATOR_RUNS}
     if not wanted:
         return view
     try:

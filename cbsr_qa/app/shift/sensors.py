@@ -1,4 +1,4 @@
-"""Where sensors stand by their last decided run: sorted for whoever takes over, found by serial number or part."""
+"""Where sensors stand by their last decided run: sorted for whoever takes over, found by any name."""
 
 import string
 from collections.abc import Collection, Sequence
@@ -23,7 +23,9 @@ MOST_FOUND: Final = 200
 _RUNS_WITH_NAMES: Final = 2000
 #: Most names listed that hold a text.
 _MOST_ALIKE: Final = 30
-_REMEDY: Final = "give a serial number, or a part as sheet=LOT7/B, sheet=LOT7 or LOT7"
+#: Latest runs that are searched for an operator.
+OPERATOR_RUNS: Final = 20_000
+_REMEDY: Final = "give a serial number, a batch, an operator, or a part as sheet=LOT7/B, sheet=LOT7 or LOT7"
 
 
 @dataclass(frozen=True, slots=True)
@@ -87,6 +89,7 @@ class FoundSensors:
     altered : number of further runs that were altered, of the latest 500: one may belong here.
     nearest : name to search for instead, where nothing was found; may be empty.
     alike : names of the latest runs with the text in them, where nothing was found; those that begin with it first.
+    of_operator : whether the text is an operator of the latest :data:`OPERATOR_RUNS` runs.
     """
 
     sensors: tuple[tuple[SensorState, ...], ...]
@@ -94,6 +97,7 @@ class FoundSensors:
     altered: int
     nearest: str
     alike: tuple[str, ...] = ()
+    of_operator: bool = False
 
 
 def count_sensors(states: Collection[SensorState]) -> int:
@@ -132,22 +136,26 @@ def _leave_out(states: Sequence[SensorState], others: Sequence[SensorState]) -> 
 
 
 def search_sensors(store: Repository, wanted: str) -> FoundSensors:
-    """Find sensors by serial number or part, among any number of stored runs.
+    """Find sensors by serial number, batch, operator or part, among any number of stored runs.
 
     Parameters
     ----------
-    wanted : a serial number; or a part, whose name and revision may be left out: ``sheet=LOT7/B``, ``LOT7``.
+    wanted : a name; that of a part and its revision may be left out: ``sheet=LOT7/B``, ``LOT7``.
 
     Raises
     ------
     ConfigError
-        If it can be neither.
+        If it can be none of these.
     StoreError
         If the database cannot be read.
     """
     serial, part = _read_wanted(wanted)
     of_serial = [serial] if serial and store.sensors.find_runs([serial]) else []
-    serials = list(dict.fromkeys((*of_serial, *store.sensors.find_sensors_of_part(part))))
+    of_part = store.sensors.find_sensors_of_part(part)
+    of_batch = {} if part.name else store.sensors.find_sensors_of_batch(wanted)
+    of_operator = {} if part.name else store.sensors.find_sensors_of_operator(wanted, OPERATOR_RUNS)
+    others = sorted({*of_part.items(), *of_batch.items(), *of_operator.items()}, key=lambda one: one[1], reverse=True)
+    serials = list(dict.fromkeys((*of_serial, *(other for other, _ in others))))
     runs = store.lists.read_named(store.sensors.find_runs(serials[:MOST_FOUND]))
     states_by_serial: dict[str, list[SensorState]] = {}
     for state in list_states(runs):
@@ -155,7 +163,7 @@ def search_sensors(store: Repository, wanted: str) -> FoundSensors:
     altered = store.sensors.find_altered_lately({run.run for run in runs})
     sensors = tuple(tuple(states) for states in states_by_serial.values())
     if serials:
-        return FoundSensors(sensors, len(serials), len(altered), "")
+        return FoundSensors(sensors, len(serials), len(altered), "", of_operator=bool(of_operator))
     return FoundSensors(sensors, 0, len(altered), _nearest(store, wanted), _find_alike(store, wanted))
 
 
@@ -181,7 +189,7 @@ def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
     try:
         (part,) = read_parts([f"any={wanted}"])
     except ConfigError:
-        raise ConfigError(f"{echo(wanted, 64)} is no serial number and no part", remedy=_REMEDY) from None
+        raise ConfigError(f"{echo(wanted, 64)} can be no name that is stored", remedy=_REMEDY) from None
     serial = ""
     with suppress(ConfigError):  # the identifier of a part may hold more
         serial = validate_serial(wanted)
@@ -189,19 +197,19 @@ def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
 
 
 def _find_alike(store: Repository, wanted: str) -> tuple[str, ...]:
-    """Return serial numbers and parts of the latest runs that hold a text, those that begin with it first."""
-    serials, parts = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
+    """Return the names of the latest runs that hold a text, those that begin with it first."""
+    serials, parts, others = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
     small = wanted.lower()
-    names = [name for name in sorted({*serials, *map(str, parts)}) if small in name.lower()]
+    names = [name for name in sorted({*serials, *map(str, parts), *others}) if small in name.lower()]
     return tuple(sorted(names, key=lambda name: not name.lower().startswith(small))[:_MOST_ALIKE])
 
 
 def _nearest(store: Repository, wanted: str) -> str:
     """Return the nearest name of the latest runs, and of those of any run that differ by one character."""
-    serials, parts = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
+    serials, parts, others = store.sensors.read_latest_names(_RUNS_WITH_NAMES)
     alike, alike_parts = store.sensors.find_names(_list_typos(wanted.partition("=")[2] or wanted))
     serials, parts = serials | alike, parts | alike_parts
-    names = serials | {part.identifier for part in parts}
+    names = serials | others | {part.identifier for part in parts}
     if "=" in wanted:
         names = {*map(str, parts), *(f"{part.name}={part.identifier}" for part in parts)}
     digits = _extract_digits(wanted)

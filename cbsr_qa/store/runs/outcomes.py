@@ -95,21 +95,40 @@ class SensorRuns:
         with reading(self._engine) as connection:
             return [(run, serial) for run, serial in connection.execute(query)]
 
-    def find_sensors_of_part(self, part: SensorPart) -> list[str]:
-        """Return the serial numbers of all sensors that a part was in, the one tested last first.
+    def find_sensors_of_part(self, part: SensorPart) -> dict[str, str]:
+        """Return the serial numbers of all sensors that a part was in, each with its latest run with it.
 
         Parameters
         ----------
         part : an empty name stands for any, an empty revision too.
         """
         latest = func.max(RunRow.run)
-        query = select(RunRow.serial).join(PartRow, PartRow.run == RunRow.run).group_by(RunRow.serial)
+        query = select(RunRow.serial, latest).join(PartRow, PartRow.run == RunRow.run).group_by(RunRow.serial)
         names = select(_part_names().c.name)  # a search by name and identifier has an index
         query = query.where(PartRow.name == part.name if part.name else PartRow.name.in_(names))
         query = query.where(PartRow.identifier == part.identifier)
         query = query.where(PartRow.revision == part.revision) if part.revision else query
         with reading(self._engine) as connection:
-            return list(connection.scalars(query.order_by(latest.desc())))
+            return dict(connection.execute(query).all())
+
+    def find_sensors_of_batch(self, batch: str) -> dict[str, str]:
+        """Return the serial numbers of all sensors of a batch, each with its latest run in it."""
+        of_batch = select(RunRow.serial, RunRow.run).where(RunRow.batch == batch)
+        with reading(self._engine) as connection:  # in their order, SQLite would look at the runs of all batches
+            rows = connection.execute(of_batch).all()
+        return dict(sorted(rows, key=lambda row: row[1]))
+
+    def find_sensors_of_operator(self, operator: str, runs: int) -> dict[str, str]:
+        """Return the serial numbers of the sensors of an operator among the latest runs, each with its latest run.
+
+        Parameters
+        ----------
+        runs : number of runs that are looked at: operators have no index.
+        """
+        latest = select(RunRow.serial, RunRow.run, RunRow.operator).order_by(RunRow.run.desc()).limit(runs).subquery()
+        query = select(latest.c.serial, latest.c.run).where(latest.c.operator == operator).order_by(latest.c.run)
+        with reading(self._engine) as connection:
+            return dict(connection.execute(query).all())
 
     def find_runs(self, serials: Sequence[str]) -> list[str]:
         """Return all runs of some sensors, in the order they were made in."""
@@ -131,13 +150,19 @@ class SensorRuns:
                 parts |= {SensorPart(*cells) for cells in rows}
         return serials, parts
 
-    def read_latest_names(self, runs: int) -> tuple[set[str], set[SensorPart]]:
-        """Return serial numbers and parts of the latest runs."""
+    def read_latest_names(self, runs: int) -> tuple[set[str], set[SensorPart], set[str]]:
+        """Return serial numbers and parts of the latest runs, and the names of their batches and operators."""
         latest = select(RunRow.run).order_by(RunRow.run.desc()).limit(runs)
         of_parts = select(PartRow.name, PartRow.identifier, PartRow.revision).where(PartRow.run.in_(latest))
         with reading(self._engine) as connection:
-            serials = set(connection.scalars(select(RunRow.serial).where(RunRow.run.in_(latest))))
-            return serials, {SensorPart(*cells) for cells in connection.execute(of_parts)}
+            columns = select(RunRow.serial, RunRow.batch, RunRow.operator).where(RunRow.run.in_(latest))
+            rows = connection.execute(columns).all()
+            others = {name for row in rows for name in (row.batch, row.operator) if name}
+            return (
+                {row.serial for row in rows},
+                {SensorPart(*cells) for cells in connection.execute(of_parts)},
+                others,
+            )
 
 
 def _part_names() -> CTE:

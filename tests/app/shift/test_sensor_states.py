@@ -160,6 +160,25 @@ def test_where_nothing_is_found_the_nearest_name_is_told(store, wanted, nearest)
     assert (result.count, result.nearest) == (0, nearest)
 
 
+def test_sensors_are_found_by_batch_and_by_operator_the_one_tested_last_first(tmp_path, monkeypatch):
+    with open_store(f"sqlite:///{tmp_path / 'people.db'}", durable=False) as store:
+        for serial, batch, operator in (("S-1", "B-7", "Kim Lee"), ("S-2", "B-8", "Kim Lee"), ("S-3", "B-7", "Zoë")):
+            store_run(store, serial, (), batch=batch, operator=operator, parts=["sheet=B-8"])
+        found = {wanted: search_sensors(store, wanted) for wanted in ("B-7", "Kim Lee", "Zoë", "B-8", "sheet=B-7")}
+        assert {wanted: found_serials(one) for wanted, one in found.items()} == {
+            "B-7": ["S-3", "S-1"],
+            "Kim Lee": ["S-2", "S-1"],
+            "Zoë": ["S-3"],
+            "B-8": ["S-3", "S-2", "S-1"],
+            "sheet=B-7": [],
+        }
+        assert {wanted for wanted, one in found.items() if one.of_operator} == {"Kim Lee", "Zoë"}
+        assert search_sensors(store, "kim").alike == ("Kim Lee",)
+        assert search_sensors(store, "B-77").nearest == "B-7"
+        monkeypatch.setattr("cbsr_qa.app.shift.sensors.OPERATOR_RUNS", 1)
+        assert found_serials(search_sensors(store, "Kim Lee")) == []
+
+
 def test_names_that_hold_a_text_are_listed_those_that_begin_with_it_first(tmp_path):
     with open_store(f"sqlite:///{tmp_path / 'alike.db'}", durable=False) as store:
         for serial in ("S-101", "S-102", "S-110", "X-S-10", "S-11"):
@@ -212,6 +231,7 @@ def test_a_search_looks_up_indices_and_scans_no_table(tmp_path):
         sa.event.listen(engine, "before_cursor_execute", lambda *call: asked.append(call[2:4]))
         for part in (SensorPart("", "LOT7"), SensorPart("sheet", "LOT7", "B")):
             store.sensors.find_sensors_of_part(part)
+        store.sensors.find_sensors_of_batch("B-7")
         store.sensors.find_runs(["A", "B"])
         selects = [(query, values) for query, values in asked if query.lstrip().startswith(("SELECT", "WITH"))]
         with engine.connect() as connection:
@@ -219,7 +239,7 @@ def test_a_search_looks_up_indices_and_scans_no_table(tmp_path):
                 [row[3] for row in connection.exec_driver_sql(f"EXPLAIN QUERY PLAN {query}", values)]
                 for query, values in selects
             ]
-    assert len(plans) == 3
+    assert len(plans) == 4
     for plan in plans:
         assert not [line for line in plan if line.startswith("SCAN") and "names" not in line], plan
         assert any("ix_run" in line for line in plan)
