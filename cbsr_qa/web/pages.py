@@ -124,18 +124,18 @@ def list_places(view: LiveView) -> list[Place]:
     return list(place_by_label.values())
 
 
-def band_kind(place: Place) -> str:
+def place_kind(place: Place) -> str:
     """Return the kind of a place, a key of :data:`SIGNS`."""
     if place.seen is None:
         return "running" if place.now else "open"
-    return "pressed"  # neutral whatever its band: limits judge it once the run is over
+    return "pressed"  # neutral whatever its image: limits judge it once the run is over
 
 
-def band_words(place: Place) -> str:
-    """Return that a place was pressed with its band, as the recipe names it; else whether it is pressed now."""
+def place_words(place: Place) -> str:
+    """Return that a place was pressed, and whether it was seen; else whether it is pressed now."""
     if place.seen is None:
         return text("live.now_place") if place.now else text("live.open_place")
-    return text("live.pressed", band=place.seen.band)
+    return text("live.unseen" if place.seen.overlap_percent is None else "live.pressed")
 
 
 def place_numbers(place: Place) -> str:
@@ -239,8 +239,8 @@ def _environment() -> Environment:
         "progress_words": progress_words,
         "list_places": list_places,
         "phase_words": phase_words,
-        "band_kind": band_kind,
-        "band_words": band_words,
+        "place_kind": place_kind,
+        "place_words": place_words,
         "place_numbers": place_numbers,
         "force_trace": force_trace,
         "conductance_trace": conductance_trace,

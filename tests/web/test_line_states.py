@@ -20,7 +20,16 @@ from cbsr_qa.web.confirmations import name_confirmer, needs_confirmation
 from cbsr_qa.web.line import Line
 from cbsr_qa.web.live_run import Place
 from cbsr_qa.web.outcomes import ago_words, cue, reason_words, verdict_kind
-from cbsr_qa.web.pages import Pages, band_kind, band_words, describe_measured, minutes_left, progress_words, size_of
+from cbsr_qa.web.pages import (
+    Pages,
+    describe_measured,
+    minutes_left,
+    place_kind,
+    place_numbers,
+    place_words,
+    progress_words,
+    size_of,
+)
 from cbsr_qa.web.state import FailedLimit, Mode, Snapshot, control_of, mode_of
 from cbsr_qa.web.stations import OfferedRecipe, ServedStation
 
@@ -246,10 +255,11 @@ def test_a_start_that_somebody_cancelled_looks_neither_failed_nor_broken(store, 
 
 def test_a_pressed_place_does_not_look_as_if_it_had_passed_or_failed():
     load = SimpleNamespace(label="L1", x_mm=0.0, y_mm=0.0)
-    seen = {band: Place(load, PlacePreview(1.0, 70.0, band), now=False) for band in ("good", "ok", "poor")}
-    assert {band_kind(place) for place in seen.values()} == {"pressed"}
-    assert [band_words(place) for place in seen.values()] == [f"pressed, band: {band}" for band in seen]
-    assert [band_kind(Place(load, None, now=now)) for now in (False, True)] == ["open", "running"]
+    seen = [Place(load, PlacePreview(*found), now=False) for found in ((1.0, 70.0), (9.0, 2.0), (None, None))]
+    assert {place_kind(place) for place in seen} == {"pressed"}
+    assert [place_words(place) for place in seen] == ["pressed", "pressed", "pressed, not seen"]
+    assert [place_numbers(place) for place in seen] == ["overlap 70 %, 1.0 mm off", "overlap 2 %, 9.0 mm off", ""]
+    assert [place_kind(Place(load, None, now=now)) for now in (False, True)] == ["open", "running"]
 
 
 @pytest.mark.parametrize("simulated", [True, False])

@@ -17,7 +17,7 @@ from cbsr_qa.domain.readings.loads import Indenter, Load
 from cbsr_qa.domain.sensor.mesh import Mesh
 from cbsr_qa.domain.sensor.sensor_type import SensorType
 from cbsr_qa.eit.imaging.blobs import noise_floor
-from cbsr_qa.eit.imaging.shape import overlap_grade, spatial_figures
+from cbsr_qa.eit.imaging.shape import spatial_figures
 from cbsr_qa.eit.inverse.problem import imaging_problem
 from cbsr_qa.eit.inverse.scaling import scale_of
 from cbsr_qa.plugin.interfaces import Reconstruction
@@ -31,12 +31,10 @@ class PlacePreview:
     ----------
     error_mm, overlap_percent : error of the place [mm] and overlap [%] of the imaged region nearest to the indenter,
         at the recipe's main mask; None where no region is seen.
-    band : grade of the overlap, as the recipe names it; ``"not seen"`` without a region.
     """
 
     error_mm: float | None
     overlap_percent: float | None
-    band: str
 
 
 @dataclass(frozen=True, slots=True, eq=False)
@@ -98,11 +96,6 @@ class LivePreview:
         settings = self.settings
         figures = spatial_figures(regions, footprint, clipping=settings.clipping, perimeter=settings.perimeter)
         index = settings.masks.index(settings.main_mask)
-        figure, region = figures[index], regions[index]
-        if figure is None or region is None:
-            return PlacePreview(None, None, "not seen")
-        area_ratio = region.area_mm2 / self.indenter.area_mm2
-        band = overlap_grade(
-            figure.overlap_percent, area_ratio, bands=settings.overlap_bands, size_ratio=settings.size_ratio
-        )
-        return PlacePreview(figure.error_mm, figure.overlap_percent, band)
+        if (figure := figures[index]) is None:
+            return PlacePreview(None, None)
+        return PlacePreview(figure.error_mm, figure.overlap_percent)
