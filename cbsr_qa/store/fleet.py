@@ -15,12 +15,14 @@ from cbsr_qa.domain.results.fleet import (
     UNCALIBRATED,
     CalibrationWay,
     FleetTable,
+    KnownNames,
     MetricKey,
     RunLine,
     RunSelection,
     State,
     ValueKind,
 )
+from cbsr_qa.domain.sensor.sensor_type import SensorPart
 from cbsr_qa.store.chain.fleet import Figures, Known, check_figures, figures_query
 from cbsr_qa.store.chain.many_runs import RUNS_AT_ONCE
 from cbsr_qa.store.chain.run_documents import BETWEEN, JOINED, facts, words
@@ -31,7 +33,7 @@ from cbsr_qa.store.left_out import with_left_out
 from cbsr_qa.store.runs.verdicts import StoredVerdict, read_verdicts, reset_seed
 from cbsr_qa.store.selected import Conditions, conditions, read_naming_runs
 from cbsr_qa.store.tables.results import AnalysisRow, CalibrationRow, MeasurementRow
-from cbsr_qa.store.tables.runs import DecisionRow, LoadRow, RunRow
+from cbsr_qa.store.tables.runs import DecisionRow, LoadRow, PartRow, RunRow
 from cbsr_qa.store.types import time_of_id
 from cbsr_qa.system.json_text import parse_json
 
@@ -63,6 +65,26 @@ class Fleet:
         """
         with reading(self._engine) as connection:
             return tuple(line for line, _ in _lines(connection, _select_runs(connection, selection)))
+
+    def read_known_names(self) -> KnownNames:
+        """Return the names of all stored runs, whether they were altered or not: no chain is read for them.
+
+        Raises
+        ------
+        StoreError
+            If the database cannot be read.
+        """
+        of_parts = select(PartRow.name, PartRow.identifier, PartRow.revision).distinct()
+        without_index = select(RunRow.recipe, RunRow.operator).distinct()
+        with reading(self._engine) as connection:
+            batches, serials, stations = (
+                frozenset(connection.scalars(select(column).distinct()))
+                for column in (RunRow.batch, RunRow.serial, RunRow.station)
+            )
+            rows = connection.execute(without_index).all()
+            parts = frozenset(SensorPart(*cells) for cells in connection.execute(of_parts))
+        recipes, operators = frozenset(row.recipe for row in rows), frozenset(row.operator for row in rows)
+        return KnownNames(recipes, batches, serials, stations, operators, parts)
 
     def load_table(self, selection: RunSelection = _EVERY) -> FleetTable:
         """Return runs with the values of their latest analyses.

@@ -12,7 +12,7 @@ from typing import Any, Final
 from cbsr_qa.config.merging import canonical_json
 from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.numbers import did_you_mean, prefix_kind
-from cbsr_qa.domain.results.fleet import CalibrationWay, RunLine, RunSelection
+from cbsr_qa.domain.results.fleet import CalibrationWay, KnownNames, RunLine, RunSelection
 from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.words import echo
@@ -25,13 +25,13 @@ _CLOCK_STEP: Final = timedelta(days=1)
 _NOT_MEASURING: Final = ("limits", "limits_version", "failure_codes", "report")
 #: Number of known names in a remedy.
 _MAX_LISTED_NAMES: Final = 20
-#: Selection criteria of runs: noun, field of the selection, attribute of a run.
+#: Selection criteria of runs: noun, field of the selection, field of the known names.
 _NAMES: Final = (
-    ("recipe", "recipe", "recipe"),
-    ("batch", "batch", "batch"),
-    ("sensor", "serials", "serial"),
-    ("station", "stations", "station"),
-    ("operator", "operators", "operator"),
+    ("recipe", "recipe", "recipes"),
+    ("batch", "batch", "batches"),
+    ("sensor", "serials", "serials"),
+    ("station", "stations", "stations"),
+    ("operator", "operators", "operators"),
 )
 _OTHER_DATABASE: Final = "cbsr-qa db status shows which database is used"
 
@@ -55,20 +55,18 @@ def missing_metric_error(name: str, known: Collection[str], at: str = "") -> Ref
     return RefusedError(f"{at}no run of these measured {echo(name, 64)}", remedy=nearest(name, known, "measured"))
 
 
-def absent_names(selection: RunSelection, runs: Sequence[RunLine]) -> Iterator[tuple[str, str, str, Collection[str]]]:
+def absent_names(selection: RunSelection, known: KnownNames) -> Iterator[tuple[str, str, str, Collection[str]]]:
     """Yield names of a selection without runs: noun, field of the selection, name, known names."""
-    for noun, field, attribute in _NAMES:
+    for noun, field, known_field in _NAMES:
         selected = getattr(selection, field)
-        known_names = {getattr(run, attribute) for run in runs} - {""}
+        known_names = getattr(known, known_field) - {""}
         for name in (selected,) if isinstance(selected, str) else selected or ():
             if name not in known_names:
                 yield noun, field, name, known_names
     for selected_part in selection.parts:
-        if not any(selected_part.selects(part) for run in runs for part in run.parts):
+        if not any(map(selected_part.selects, known.parts)):
             # The letters of a revision that was not asked for would decide which lot is near.
-            known_parts = {
-                part if selected_part.revision else replace(part, revision="") for run in runs for part in run.parts
-            }
+            known_parts = {part if selected_part.revision else replace(part, revision="") for part in known.parts}
             yield "part", "parts", str(selected_part), {str(part) for part in known_parts}
 
 
@@ -79,7 +77,7 @@ def check_names(store: Repository, selection: RunSelection, at: Callable[[str], 
     ----------
     at : position of a selection's field in a file, at the beginning of the message.
     """
-    absent_entries = list(absent_names(selection, store.fleet.read_lines()))
+    absent_entries = list(absent_names(selection, store.fleet.read_known_names()))
     if absent_entries:
         noun, _, name, known_names = absent_entries[0]
         raise RefusedError(

@@ -115,6 +115,18 @@ class CalibrationWay:
 
 
 @dataclass(frozen=True, slots=True)
+class KnownNames:
+    """Names that some runs have, each once."""
+
+    recipes: frozenset[str]
+    batches: frozenset[str]
+    serials: frozenset[str]
+    stations: frozenset[str]
+    operators: frozenset[str]
+    parts: frozenset[SensorPart]
+
+
+@dataclass(frozen=True, slots=True)
 class RunLine:
     """One run in a study: its identity and its outcome.
 

@@ -15,7 +15,7 @@ from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import NumericsError, RefusedError
 from cbsr_qa.domain.filling import fill_from_object
 from cbsr_qa.domain.numbers import prefix_kind
-from cbsr_qa.domain.results.fleet import FleetTable, MetricKey, RunLine, RunSelection
+from cbsr_qa.domain.results.fleet import FleetTable, KnownNames, MetricKey, RunLine, RunSelection
 from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.stats.gauge.anova import GaugeAnova, gauge_anova
 from cbsr_qa.stats.gauge.balance import largest_balanced, missing_runs
@@ -70,7 +70,15 @@ def choose_runs(store: Repository, request: GaugeRequest) -> tuple[FleetTable, t
 
 def _check_found(store: Repository, request: GaugeRequest, runs: Sequence[RunLine]) -> None:
     """Refuse names without a run, each with its line in the study's file; unknown names come first."""
-    selection, absent = request.runs, list(absent_names(request.runs, runs))
+    known = KnownNames(
+        recipes=frozenset(run.recipe for run in runs),
+        batches=frozenset(run.batch for run in runs),
+        serials=frozenset(run.serial for run in runs),
+        stations=frozenset(run.station for run in runs),
+        operators=frozenset(run.operator for run in runs),
+        parts=frozenset(part for run in runs for part in run.parts),
+    )
+    selection, absent = request.runs, list(absent_names(request.runs, known))
     if runs and not absent:
         return
     check_names(store, selection, lambda field: request.locate("study", field))
