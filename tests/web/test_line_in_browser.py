@@ -381,7 +381,7 @@ def test_a_start_is_cancelled_before_a_run_has_begun(line, pages):
     page.shot("cancelled")
     assert line.holder("bench-1") is None
     page.goto("/search?q=NOT-1")
-    expect(page.locator("h1")).to_contain_text("No sensor has the serial number")
+    expect(page.locator("h1")).to_contain_text("No sensor, part, batch or operator NOT-1")
 
 
 @pytest.mark.rest
