@@ -77,7 +77,8 @@ class Actions:
             fields, words = {"operator": scanned}, text("gate.badge", operator=scanned)
         elif "=" in scanned:  # a part; one that is given twice is refused, and what was scanned before stays
             stated = split_parts(f"{form.get('parts', '')}, {scanned}")
-            fields, words = {"parts": ", ".join(map(str, stated))}, text("gate.part", part=scanned)
+            fields = {"parts": ", ".join(map(str, stated))}
+            words = text("gate.part_of" if checked else "gate.part", part=scanned, serial=checked)
         elif scanned != checked:
             fields = await run_in_threadpool(self._recall_sensor, form)
         if words and not checked:

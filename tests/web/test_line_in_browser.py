@@ -183,16 +183,16 @@ def test_a_failed_sensor_shows_every_failed_limit_the_worst_first_and_sounds_are
     page.shot("verdict-failed")
     _accessible(page)
     _a_limit_is_explained(page)
-    mute = page.get_by_role("button", name="Sound on")
+    mute = page.get_by_role("button", name="Sound: on")
     mute.click()
-    expect(page.get_by_role("button", name="Sound off")).to_have_attribute("aria-pressed", "true")
+    expect(page.get_by_role("button", name="Sound: off")).to_have_attribute("aria-pressed", "true")
     page.keyboard.type("BAD-1")
     page.keyboard.press("Enter")
     expect(page.locator("#gate-title")).to_contain_text("Failed with strict at bench-1")
     assert 220 in page.evaluate("tones")[-1:]
     page.reload()
-    page.get_by_role("button", name="Sound off").click()
-    expect(page.get_by_role("button", name="Sound on")).to_have_attribute("aria-pressed", "false")
+    page.get_by_role("button", name="Sound: off").click()
+    expect(page.get_by_role("button", name="Sound: on")).to_have_attribute("aria-pressed", "false")
 
 
 _SLOW_CHECKS = """() => {

@@ -216,6 +216,20 @@ def test_a_scan_that_begins_outside_of_all_fields_is_whole(page, stations):
     assert _posted(page, stations, 1)[0][1]["serial"] == "S-123"
 
 
+def test_a_part_that_is_scanned_for_a_sensor_leaves_no_half_typed_serial_number(page, stations):
+    """The next serial number, typed by hand, once followed the one that lay in the field: "S-6S-7"."""
+    stations.answers["check"] = {**_scanned(stations, "S-6"), "fields": {"serial": "S-6", "parts": "sheet=LOT7"}}
+    stations.answers["leave"] = {"parts": [["gate", ""]], "fields": {"serial": ""}}
+    page.evaluate(_SCAN, "S-6")
+    _posted(page, stations, 1)
+    page.wait_for_timeout(200)
+    page.evaluate(_SCAN, "sheet=LOT7")
+    _posted(page, stations, 2)
+    expect(page.locator("#parts")).to_have_value("sheet=LOT7")
+    page.get_by_role("button", name="No, next sensor").click()
+    expect(page.locator("#serial")).to_have_value("")
+
+
 def test_a_batch_that_was_filled_in_is_stated_once_a_person_changes_it(page, stations):
     stations.answers["check"] = {"fields": {"serial": "S-6", "batch": "B7", "recalled": "B7"}}
     page.locator("#serial").fill("S-6")

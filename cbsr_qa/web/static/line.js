@@ -95,7 +95,9 @@ function take({ parts = [], picture = "", words = "", passes = false, refused = 
   }
   for (const [id, value] of Object.entries(fields)) {
     const field = document.getElementById(id);
-    if (field && !(id === "serial" && isHalfTyped())) field.value = value;
+    const isSerial = id === "serial";
+    if (field && !(isSerial && isHalfTyped())) field.value = value;
+    if (field && isSerial && field.value === value) sentSerial = value;  // nobody typed it
     if (field && id === "operator") keepName(field.form, value);
   }
   if (restated) holdStart();
