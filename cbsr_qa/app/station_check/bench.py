@@ -1,6 +1,6 @@
 """Checks a station's instruments one by one, then measures a ring of resistors with all of them; nothing moves."""
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
 from typing import Any, Final
@@ -26,6 +26,8 @@ from cbsr_qa.station.bench import (
     FORCE_APPLICATOR,
     FORCE_CHANNEL,
     FRAME_SOURCE,
+    MULTIPLEXER,
+    SOURCE_METER,
     Action,
     Bench,
     Mounted,
@@ -43,7 +45,7 @@ Confirm = Callable[[str], bool] | None
 #: Subject of lines about all instruments together.
 _WHOLE: Final = "whole bench"
 #: What drives or switches a current, beside the source of frames.
-_ELECTRICAL: Final = ("source_meter", "multiplexer")
+_ELECTRICAL: Final = (SOURCE_METER, MULTIPLEXER)
 #: What a bench needs for a run.
 _NEEDED_ROLES: Final = (FRAME_SOURCE, FORCE_APPLICATOR, FORCE_CHANNEL)
 _NO_RING: Final = "give --ring-ohm, or [reference_ring] in the station file"
@@ -153,7 +155,7 @@ class _Look:
         self._tell = tell
         self._tap = tap
         self._mounted: list[Mounted] = []
-        self._missing = 0
+        self._missing: list[InstrumentSpec] = []
         self._bench: Bench | None = None
         self._frame_source: FrameSource | None = None
         self._together = False
@@ -166,7 +168,7 @@ class _Look:
             if isinstance(error, RefusedError):
                 self.found.refused.append(error)
             self._add(self._describe_error(spec.role, "identity", error))
-            self._missing += 1
+            self._missing.append(spec)
         else:
             self._mounted.append(mounted)
             if not isinstance(mounted.instrument, Linked):
@@ -199,7 +201,7 @@ class _Look:
             identity = identity_of(mounted, emulated=emulated or self._tap.replays)
         except Exception as error:  # noqa: BLE001 - as above
             self._add(self._describe_error(role, "identity", error))
-            self._missing += 1
+            self._missing.append(mounted.spec)
             return
         self.found.instruments.append(identity)
         identity_parts = [
@@ -320,9 +322,13 @@ class _Look:
                     remedy = ""
                 said = problem.replace("\n", "; ")
                 self._add(CheckResult(name, CheckOutcome.FAILED, said=said, remedy=remedy, subject=_WHOLE))
-        if self._mounted and not unsafe:
-            finding = "source off, head up: every instrument says so"
-            self._add(CheckResult("safe state", CheckOutcome.OK, said=finding, subject=_WHOLE))
+        silent_roles = [spec.role for spec in self._missing if _rank_movement(spec)]
+        if silent_roles:
+            said = f"not known of {list_names(silent_roles)}: no answer"
+            remedy = "" if self._tap.replays else "look at the bench: is the source off, and the head up?"
+            self._add(CheckResult("safe state", CheckOutcome.WARNING, said=said, remedy=remedy, subject=_WHOLE))
+        elif self._mounted and not unsafe:
+            self._add(CheckResult("safe state", CheckOutcome.OK, said=_describe_safe(self._mounted), subject=_WHOLE))
 
     def _describe_error(self, role: str, name: str, error: Exception) -> CheckResult:
         """Return the line of an error, with what was sent last and what came then."""
@@ -332,6 +338,15 @@ class _Look:
 
     def _add(self, line: CheckResult) -> None:
         self.found.lines.append(line)
+
+
+def _describe_safe(mounted: Sequence[Mounted]) -> str:
+    """Say which instruments report what is safe. A source of frames may have a current that nothing switches."""
+    reports = []
+    for said, role in (("source off", SOURCE_METER), ("head up", FORCE_APPLICATOR)):
+        names = [one.spec.role for one in mounted if role in one.spec.provides]
+        reports += [f"{said} ({list_names(names)})"] if names else []
+    return f"{', '.join(reports)}: so they say" if reports else "every instrument says that it is safe"
 
 
 def _error_result(subject: str, name: str, error: Exception) -> CheckResult:

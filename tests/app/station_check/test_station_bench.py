@@ -79,7 +79,8 @@ def test_every_instrument_is_asked_and_all_are_made_safe_before_they_are_closed(
     assert not {name.partition(".")[2] for name in names} & {"home", "move_to", "press", "find_surface", "acquire"}
     samples = bench.lines["load_cell", "samples of force"]
     assert (samples.outcome, samples.value) == (OK, 10.0)
-    assert bench.lines["whole bench", "safe state"].outcome is OK
+    safe = bench.lines["whole bench", "safe state"]
+    assert (safe.outcome, safe.said) == (OK, "head up (force_applicator): so they say")
     assert bench.lines["reference ring", "readings"].remedy.startswith("give --ring-ohm, or [reference_ring]")
 
 
@@ -114,6 +115,39 @@ def test_one_that_does_not_answer_is_a_line_and_the_others_are_looked_at(bench, 
     for call in ("safe_state", "close"):
         assert [bench.script.count(f"{role}.{call}") for role in opened] == [1] * len(opened)
     assert "frame_source.acquire" not in bench.script.names()
+
+
+@pytest.mark.parametrize("method", ["open", "identity"])
+def test_of_a_head_or_source_that_does_not_answer_it_is_not_known_whether_it_is_safe(bench, method):
+    for role in ("force_applicator", "frame_source"):
+        if method == "open":
+            bench.factories[role] = lambda context: raising(SILENT)()
+        else:
+            bench.script.on(f"{role}.identity", raising(SILENT))
+    bench.look()
+    line = bench.lines["whole bench", "safe state"]
+    assert (line.outcome, line.said) == (WARNING, "not known of frame_source, force_applicator: no answer")
+    assert line.remedy.startswith("look at the bench")
+
+
+def test_a_load_cell_alone_is_not_said_to_switch_a_source_off_or_to_lift_a_head(bench):
+    cell = [spec for spec in bench.configuration.station.instruments if spec.role == "load_cell"]
+    bench.configuration = replace(
+        bench.configuration, station=replace(bench.configuration.station, instruments=tuple(cell))
+    )
+    bench.look()
+    line = bench.lines["whole bench", "safe state"]
+    assert (line.outcome, line.said) == (OK, "every instrument says that it is safe")
+
+
+def test_a_meter_and_a_head_are_named_with_what_they_say(bench):
+    station = bench.configuration.station
+    specs = [replace(spec, provides=(*spec.provides, "source_meter")) for spec in station.instruments[1:2]]
+    station = replace(station, instruments=(*station.instruments[:1], *specs, *station.instruments[2:]))
+    bench.configuration = replace(bench.configuration, station=station)
+    bench.look()
+    said = bench.lines["whole bench", "safe state"].said
+    assert said == "source off (frame_source), head up (force_applicator): so they say"
 
 
 def test_what_cannot_be_tried_at_all_is_kept_apart(bench):
