@@ -9,7 +9,7 @@ from cbsr_qa.domain.errors import InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import Station
 from cbsr_qa.plugin.links.taps import hide, list_secrets, make_timeout
 from cbsr_qa.plugin.links.transcript import NOT_OPENED, Event, Transcript, quote
-from cbsr_qa.system.clock import Clock
+from cbsr_qa.system.clock import Clock, RealClock
 
 _SAME_CHECK: Final = "replay it with the options, the station file and the version it was recorded with"
 
@@ -71,6 +71,11 @@ class ReplayedLink:
         self._events = deque(event for event in transcript.events if event.role == role)
         self._received = bytearray()
         self._lock = threading.RLock()
+        self._real = RealClock()
+        #: Whether something was sent of which nothing has come yet.
+        self._asked = False
+        #: How long was waited at a time of the clock, which stands still meanwhile [s].
+        self._waited_at_s, self._waited_s = 0.0, 0.0
         self.port = f"{role} of {transcript.name}"
         self.is_open = True
         self.timeout: float | None = None
@@ -92,6 +97,7 @@ class ReplayedLink:
                 self._differs = self._differs or f"the transcript ends before {quote(sent)} is sent"
             elif not self._differs:
                 event = self._take_next()
+                self._asked = True
                 if event.data != sent:
                     self._differs = f"line {event.line} has sent {quote(event.data)}, now {quote(sent)} is sent"
             self._refuse_what_differs()
@@ -101,11 +107,17 @@ class ReplayedLink:
         return self.write(data)
 
     def read(self, size: int) -> bytes:
-        """Return up to so many bytes; those that came later are waited for if there is a timeout."""
+        """Return up to so many bytes, after waiting for them as long as the timeout allows.
+
+        The first ones after something was sent answer it, and come at once however late they came. Others come by
+        themselves: they are waited for in real time, as drivers count it, so that none is read too early.
+        """
         with self._lock:
             self._refuse_what_differs()
             self._take_received(by_s=self._clock.now())
             while len(self._received) < size and self.timeout and self._events and self._events[0].sign in "<!":
+                if not self._asked and not self._wait_for_next(self.timeout):
+                    break
                 self._take_next()
             return self._take(size)
 
@@ -155,11 +167,23 @@ class ReplayedLink:
         while self._events and self._events[0].sign in "<!" and self._events[0].time_s <= by_s:
             self._take_next()
 
+    def _wait_for_next(self, timeout_s: float) -> bool:
+        """Wait in real time for the next event; return whether it came within the timeout."""
+        now_s = self._clock.now()
+        if now_s != self._waited_at_s:
+            self._waited_at_s, self._waited_s = now_s, 0.0
+        later_s = max(self._events[0].time_s - now_s - self._waited_s, 0.0)
+        waited_s = min(later_s, timeout_s)
+        self._real.sleep(waited_s)
+        self._waited_s += waited_s
+        return later_s <= timeout_s
+
     def _take_next(self) -> Event:
         """Take the next event at its time. OSError if it is a failure of the link."""
         event = self._events.popleft()
         if (later_s := event.time_s - self._clock.now()) > 0:
             self._clock.sleep(later_s)
+        self._asked = False
         if event.sign == "!":
             raise OSError(event.data.decode(errors="replace"))
         if event.sign == "<":

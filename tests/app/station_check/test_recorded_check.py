@@ -23,25 +23,35 @@ BENCH_FILE = Path(__file__).parents[3] / "stations" / "bench-emulated.toml"
 BENCH = CheckRequest("bench-emulated", ring_ohm=10000.0)
 
 
-@pytest.fixture(scope="module")
-def recorded(tmp_path_factory):
-    """The folder of a recorded check, its transcript, and its outcome."""
-    folder = tmp_path_factory.mktemp("recorded")
+def record(folder, name):
+    """Record a check of a shipped station; return the folder, the transcript, and the outcome."""
     with pytest.MonkeyPatch.context() as patch:
         patch.setenv("CBSR_QA_VAR", str(folder / "var"))
         path = folder / "bench.txt"
-        outcome = check_station(CheckRequest("bench-emulated", ring_ohm=10000.0, record=path))
+        outcome = check_station(CheckRequest(name, ring_ohm=10000.0, record=path))
     return folder, path, outcome.result
 
 
-def test_the_replay_gives_the_same_frames_and_lines_in_every_bit(recorded, monkeypatch):
+@pytest.fixture(scope="module")
+def recorded(tmp_path_factory):
+    return record(tmp_path_factory.mktemp("recorded"), "bench-emulated")
+
+
+@pytest.fixture(scope="module")
+def recorded_board(tmp_path_factory):
+    """Of instruments that all send by themselves, but for the printer."""
+    return record(tmp_path_factory.mktemp("board"), "board-emulated")
+
+
+@pytest.mark.parametrize("station", ["recorded", "recorded_board"])
+def test_the_replay_gives_the_same_frames_and_lines_in_every_bit(request, station, monkeypatch):
     from cbsr_qa.app.station_check import check
 
-    folder, path, result = recorded
+    folder, path, result = request.getfixturevalue(station)
     seen = []
     monkeypatch.setenv("CBSR_QA_VAR", str(folder / "elsewhere"))
     monkeypatch.setattr(check, "check_outcome", lambda made, ring, *_, **__: seen.append((made, ring)))
-    replay_check(BENCH, path)
+    replay_check(CheckRequest(result.station, ring_ohm=10000.0), path)
     ((replayed, ring),) = seen
     assert replayed.results == result.results
     assert [one.serial for one in replayed.instruments] == [one.serial for one in result.instruments]

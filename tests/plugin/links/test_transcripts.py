@@ -133,6 +133,22 @@ def test_an_answer_that_did_not_come_does_not_come_now():
     assert link.read_bytes(4) == b"yes\n"
 
 
+def test_what_comes_by_itself_is_not_read_before_its_time_and_an_answer_is_waited_for():
+    events = [Event(0.0, "board", ">", b"go"), *(Event(number, "board", "<", b"x") for number in (3.0, 3.015, 9.0))]
+    clock = VirtualClock()
+    link = ReplayedLink(Transcript("s", {}, tuple(events)), "board", clock)
+    link.write(b"go")
+    link.timeout = 0.02
+    assert link.read(3) == b"xx"
+    assert clock.now() == pytest.approx(3.015)
+    assert link.read(1) == b""
+    assert clock.now() == pytest.approx(3.015)
+    clock.sleep(5.9)
+    link.timeout = 0.2
+    assert link.read(1) == b"x"
+    assert clock.now() == pytest.approx(9.0, abs=1e-5)
+
+
 def test_a_failure_of_the_link_fails_again():
     events = (Event(0.0, "cell", ">", b"x"), Event(1.0, "cell", "!", b"SerialException: unplugged"))
     link = ReplayedLink(Transcript("s", {}, events), "cell", VirtualClock())
