@@ -89,16 +89,23 @@ def record(
     ring_ohm: Annotated[
         float | None, typer.Option(metavar="OHM", help="Resistance of each resistor of the reference ring.")
     ] = None,
+    ring: Annotated[
+        bool,
+        typer.Option(show_default=False, help="Measure the reference ring; by default if its resistances are known."),
+    ] = True,
     ring_connected: Annotated[
         bool, typer.Option("--ring-connected", help="The ring is already connected; do not ask.")
     ] = False,
+    sensor_type: Annotated[str | None, typer.Option(help="Sensor type; by default the station's.")] = None,
+    material: Annotated[str | None, typer.Option(help="Material; by default the station's.")] = None,
     seed: Annotated[int, typer.Option(help="Seed for simulated instruments.", min=0, max=2**31 - 1)] = 0,
     database: Database = None,
     as_json: AsJson = False,
 ) -> None:
     """Check a station, and keep every byte between drivers and instruments in a text file.
 
-    cbsr-qa station check STATION --replay TRANSCRIPT makes the same check without the instruments.
+    cbsr-qa station check STATION --replay TRANSCRIPT makes the same check without the instruments. Exit code 1 also
+    if the file is not whole.
     """
     from cbsr_qa.app.station_check.check import CheckRequest, check_station
     from cbsr_qa.cli.console import Terminal
@@ -107,7 +114,10 @@ def record(
         station=station,
         operator=operator,
         ring_ohm=ring_ohm,
+        ring=ring,
         ring_connected=ring_connected,
+        sensor_type=sensor_type,
+        material=material,
         seed=seed,
         database=database,
         record=to,

@@ -1,9 +1,10 @@
 """Tests of drivers against a recorded session with the real instrument."""
 
 from collections.abc import Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 
+from cbsr_qa.domain.errors import InstrumentError, RefusedError
 from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.taps import use_tap
@@ -12,11 +13,12 @@ from cbsr_qa.system.clock import Clock
 
 
 @contextmanager
-def replay_transcript(path: Path, clock: Clock) -> Iterator[Transcript]:
+def replay_transcript(path: Path | str, clock: Clock) -> Iterator[Transcript]:
     """Have every serial port and VISA resource that is opened meanwhile answer as in a transcript, by its role.
 
     What a driver sends must be what was sent then; the first that differs is an InstrumentError that names the line.
-    RefusedError if the transcript is not whole.
+    AssertionError at the end if an instrument that was opened was sent less than then. RefusedError if the transcript
+    is not whole.
 
     Parameters
     ----------
@@ -24,37 +26,54 @@ def replay_transcript(path: Path, clock: Clock) -> Iterator[Transcript]:
     clock : of the driver's context; it advances to the times of the transcript.
     """
     transcript = Transcript.read(path)
-    with use_tap(Replay(transcript, None, clock)):
+    replay = Replay(transcript, None, clock)
+    with use_tap(replay):
         yield transcript
+    _check_all_sent(replay)
 
 
 @contextmanager
 def replay_pairs(role: str, pairs: Iterable[Pair], clock: Clock, *, end: bytes = b"\n") -> Iterator[None]:
     """Have the role's serial port or VISA resource answer as pairs (sent, received) of PyMeasure's tests state.
 
+    AssertionError at the end if less was sent. RefusedError if a pair is none.
+
     Parameters
     ----------
-    pairs : bytes or text; None where nothing is sent, or nothing received.
+    pairs : bytes, text, octets or numbers; None where nothing is sent, or nothing received.
     clock : as for :func:`replay_transcript`.
     end : of every line, which such pairs leave out.
     """
-    with use_tap(Replay(Transcript.from_pairs(role, pairs, end=end), None, clock)):
+    replay = Replay(Transcript.from_pairs(role, pairs, end=end), None, clock)
+    with use_tap(replay):
         yield
+    _check_all_sent(replay, role)
 
 
-def assert_replays(station: str, path: Path, *, ring_ohm: float | None = None) -> None:
+def assert_replays(station: str, path: Path | str, *, ring_ohm: float | None = None) -> None:
     """Make a station's check again from its transcript. AssertionError names every line that fails.
 
-    RefusedError if the transcript is not whole, or of other instruments.
+    RefusedError if the transcript is not whole, its check was stopped, or it is of other instruments.
 
     Parameters
     ----------
     station : file or name, as at ``cbsr-qa station record``.
-    ring_ohm : as given there.
+    ring_ohm : another one than the transcript states.
     """
     from cbsr_qa.app.station_check.check import CheckRequest, replay_check  # other tests need no application
 
-    results = replay_check(CheckRequest(station, ring_ohm=ring_ohm), path).result.results
+    if early := Transcript.read(path).early:
+        raise RefusedError(f"{path}: {early}", remedy="take a transcript of a whole check")
+    results = replay_check(CheckRequest(station, ring_ohm=ring_ohm), Path(path)).result.results
     failed = [f"{line.subject}, {line.name}: {line.said}" for line in results if line.outcome is CheckOutcome.FAILED]
     if failed:
         raise AssertionError("\n".join(failed))
+
+
+def _check_all_sent(replay: Replay, role: str = "") -> None:
+    """Raise AssertionError if something was not sent, or the role was not even opened."""
+    if role:
+        with suppress(InstrumentError):
+            replay.connect(role, lambda: None)
+    if (unsent := replay.find_unsent()) is not None:
+        raise AssertionError(unsent.reason)

@@ -64,7 +64,7 @@ def stoppable(*, within_s: float | None = None) -> Iterator[None]:
                 cancel_callbacks.append(end_later(within_s))
             signal_names.append(signal.Signals(number).name)
             redelivery.number = number
-            raise KeyboardInterrupt
+            raise KeyboardInterrupt(f"signal {signal_names[0]}")
 
     in_main_thread = threading.current_thread() is threading.main_thread()
     names = [name for name in ("SIGINT", "SIGTERM", "SIGHUP", "SIGQUIT") if in_main_thread and hasattr(signal, name)]

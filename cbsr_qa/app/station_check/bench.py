@@ -18,9 +18,11 @@ from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
 from cbsr_qa.plugin.discovery import Plugins
+from cbsr_qa.plugin.failures import Interruption
 from cbsr_qa.plugin.instruments import FrameSource, Instrument, Linked, Sampler, SelfTesting
 from cbsr_qa.plugin.links.recorder import Listener
-from cbsr_qa.plugin.links.taps import Tap, use_tap
+from cbsr_qa.plugin.links.replay import Replay
+from cbsr_qa.plugin.links.taps import use_tap
 from cbsr_qa.report.tables import list_names, number, unit_shown
 from cbsr_qa.station.bench import (
     FORCE_APPLICATOR,
@@ -43,12 +45,16 @@ from cbsr_qa.system.copies import end_forked_copies
 Confirm = Callable[[str], bool] | None
 
 #: Subject of lines about all instruments together.
-_WHOLE: Final = "whole bench"
+WHOLE_BENCH: Final = "whole bench"
 #: What drives or switches a current, beside the source of frames.
 _ELECTRICAL: Final = (SOURCE_METER, MULTIPLEXER)
 #: What a bench needs for a run.
 _NEEDED_ROLES: Final = (FRAME_SOURCE, FORCE_APPLICATOR, FORCE_CHANNEL)
 _NO_RING: Final = "give --ring-ohm, or [reference_ring] in the station file"
+
+
+class RecordingEnded(Interruption):
+    """A check goes on where its transcript, which ends early, does not."""
 
 
 @dataclass(slots=True)
@@ -71,7 +77,7 @@ def look_at_bench(
     confirm: Confirm,
     ask: Callable[[str], str] | None = None,
     tell: Callable[[str], None] = lambda words: None,
-    tap: Tap | None = None,
+    tap: Listener | Replay | None = None,
 ) -> BenchFindings:
     """Open every instrument, ask each for identity and self-test, check samples, measure the ring, close all.
 
@@ -107,6 +113,11 @@ def look_at_bench(
             look.put_together(callbacks)
             look.sample()
             look.measure_ring(ring, resistances, connected)
+        except RecordingEnded as ended:
+            look.skip_rest(str(ended), with_ring=ring is not None)
+        except BaseException as error:
+            used_tap.end_early(error)
+            raise
         finally:
             look.close(callbacks)
     return look.found
@@ -148,7 +159,9 @@ def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> d
 class _Look:
     """One check of a bench: open instruments, and the findings so far."""
 
-    def __init__(self, configuration: Configuration, clock: Clock, tell: Callable[[str], None], tap: Tap) -> None:
+    def __init__(
+        self, configuration: Configuration, clock: Clock, tell: Callable[[str], None], tap: Listener | Replay
+    ) -> None:
         self.configuration = configuration
         self.found = BenchFindings()
         self._clock = clock
@@ -159,6 +172,7 @@ class _Look:
         self._bench: Bench | None = None
         self._frame_source: FrameSource | None = None
         self._together = False
+        self._skipped = False
 
     def open(self, spec: InstrumentSpec, opened: Callable[[InstrumentSpec], Instrument], today: date) -> None:
         self._tell(f"asking {spec.role}")
@@ -232,7 +246,12 @@ class _Look:
 
     def has_ring(self, resistances_ohm: tuple[float, ...], confirm: Confirm) -> bool:
         """Request the ring, before instruments that check their contacts are linked."""
-        return not self._missing and confirm is not None and confirm(_describe_connecting(resistances_ohm))
+        if self._missing:
+            return False
+        is_connected = confirm is not None and confirm(_describe_connecting(resistances_ohm))
+        if not is_connected:
+            self._tap.note_no_ring()
+        return is_connected
 
     def put_together(self, after: tuple[Action, ...]) -> None:
         """Build a bench if no instrument is missing, and query those that work through others."""
@@ -248,7 +267,7 @@ class _Look:
             bench = None if lacking else Bench(self._mounted, after=after)
             if bench is None:
                 said = f"no instrument provides {list_names(lacking)} yet, which every run needs"
-                self._add(CheckResult("together", CheckOutcome.NOT_DONE, said=said, subject=_WHOLE))
+                self._add(CheckResult("together", CheckOutcome.NOT_DONE, said=said, subject=WHOLE_BENCH))
                 link_instruments(self._mounted, provided)
             emulates = any(mounted.spec.emulated for mounted in self._mounted)
             for mounted in linked_instruments:
@@ -259,7 +278,8 @@ class _Look:
                 source = provided[FRAME_SOURCE].instrument if FRAME_SOURCE in provided else None
                 self._frame_source = source if isinstance(source, FrameSource) else None
         except Exception as error:  # noqa: BLE001 - as above: linking calls drivers
-            self._add(_error_result(error.role if isinstance(error, InstrumentError) else _WHOLE, "together", error))
+            subject = error.role if isinstance(error, InstrumentError) else WHOLE_BENCH
+            self._add(_error_result(subject, "together", error))
 
     def sample(self) -> None:
         """Check that every channel has samples within the allowed age of data."""
@@ -308,6 +328,16 @@ class _Look:
             self._add(CheckResult("range", CheckOutcome.FAILED, said=said, remedy=remedy, subject=subject))
         return None
 
+    def skip_rest(self, reason: str, *, with_ring: bool) -> None:
+        """Add a line for all that was not looked at, because the transcript ends early."""
+        asked = {line.subject for line in self.found.lines if line.name == "identity"}
+        roles = [spec.role for spec in self.configuration.station.instruments]
+        skipped = [(role, "identity") for role in roles if role not in asked]
+        skipped += [(RING, "readings")] if with_ring and self.found.ring is None else []
+        for subject, name in (*skipped, (WHOLE_BENCH, "safe state")):
+            self._add(CheckResult(name, CheckOutcome.NOT_DONE, said=reason, subject=subject))
+        self._skipped = True
+
     def close(self, after: tuple[Action, ...]) -> None:
         """Make everything safe and close it; a failure is a line."""
         if self._bench is not None:
@@ -315,20 +345,25 @@ class _Look:
         else:
             unsafe = stop_all([(mounted.name, mounted.instrument.safe_state) for mounted in self._mounted])
             unclosed = stop_all([*((mounted.name, mounted.instrument.close) for mounted in self._mounted), *after])
+        if self._tap.ended:
+            if not self._skipped:
+                self.skip_rest(self._tap.ended, with_ring=False)
+            return
         for name, problems in (("safe state", unsafe), ("closing", unclosed)):
             for problem in problems:
                 remedy = "switch the source off and lift the head by hand, then check this instrument"
                 if self._tap.replays:
                     remedy = ""
                 said = problem.replace("\n", "; ")
-                self._add(CheckResult(name, CheckOutcome.FAILED, said=said, remedy=remedy, subject=_WHOLE))
+                self._add(CheckResult(name, CheckOutcome.FAILED, said=said, remedy=remedy, subject=WHOLE_BENCH))
         silent_roles = [spec.role for spec in self._missing if _rank_movement(spec)]
         if silent_roles:
             said = f"not known of {list_names(silent_roles)}: no answer"
             remedy = "" if self._tap.replays else "look at the bench: is the source off, and the head up?"
-            self._add(CheckResult("safe state", CheckOutcome.WARNING, said=said, remedy=remedy, subject=_WHOLE))
+            self._add(CheckResult("safe state", CheckOutcome.WARNING, said=said, remedy=remedy, subject=WHOLE_BENCH))
         elif self._mounted and not unsafe:
-            self._add(CheckResult("safe state", CheckOutcome.OK, said=_describe_safe(self._mounted), subject=_WHOLE))
+            said = _describe_safe(self._mounted)
+            self._add(CheckResult("safe state", CheckOutcome.OK, said=said, subject=WHOLE_BENCH))
 
     def _describe_error(self, role: str, name: str, error: Exception) -> CheckResult:
         """Return the line of an error, with what was sent last and what came then."""

@@ -11,7 +11,14 @@ from cbsr_qa.app.run.console import NOBODY, RunConsole
 from cbsr_qa.app.run.request import RunRequest
 from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.app.run.stopping import stoppable
-from cbsr_qa.app.station_check.bench import BenchFindings, Confirm, look_at_bench, simulates_frames
+from cbsr_qa.app.station_check.bench import (
+    WHOLE_BENCH,
+    BenchFindings,
+    Confirm,
+    RecordingEnded,
+    look_at_bench,
+    simulates_frames,
+)
 from cbsr_qa.app.station_check.golden_history import compare_golden, golden_history
 from cbsr_qa.app.station_check.outcome import CheckedStation, check_outcome
 from cbsr_qa.config.merging import Configuration
@@ -49,6 +56,8 @@ _RING_LIMITS: Final[Mapping[str, float]] = {
     "lead_ohm": 100.0,
 }
 _RING_FRAMES: Final = 16
+#: Words for no ring, and for that of the station file, in the head of a transcript.
+_NO_RING, _STATED_RING = "none", "stated"
 #: Resistances that a station file may state.
 _OHM: Final = (1e-3, 1e9)
 
@@ -109,7 +118,7 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
         doing = "checking the station"
         with station_held(configuration.station.name, who=request.operator, doing=doing), stoppable():
             clock = station_clock(configuration)
-            with _recording(request.record, configuration.station, clock) as recorder:
+            with _recording(request, ring, configuration.station, clock) as recorder:
                 findings = look_at_bench(
                     configuration,
                     plugins,
@@ -124,6 +133,8 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
         if not findings.instruments and len(findings.refused) == len(configuration.station.instruments):
             raise findings.refused[0]  # no instrument could be opened at all
         findings.lines += _check_backlog(store, configuration.station)
+        if recorder is not None and recorder.failure:
+            findings.lines.append(_warn_of_transcript(_describe_loss(recorder), "make room, and record it again"))
         golden = None
         if request.golden is not None and _may_press(request.golden, findings, confirm_placed):
             golden = _run_golden(request, request.golden, findings, store, console)
@@ -142,14 +153,16 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
     Raises
     ------
     RefusedError
-        If the transcript is not whole, or of other instruments.
+        If the transcript was changed, or is of other instruments. One that ends early replays up to there: a warning
+        says so, and what comes later is not done.
     """
     plugins = discover()
+    transcript = Transcript.read(path, whole=False)
+    request = _repeat_options(request, transcript)
     configuration = _load_configuration(request, plugins)
     ring = _choose_ring(request, configuration.station.reference_ring)
     clock = VirtualClock()
-    transcript = Transcript.read(path)
-    replay = Replay(transcript, configuration.station, clock)
+    replay = Replay(transcript, configuration.station, clock, break_in=_end_check)
     with stoppable():
         findings = look_at_bench(
             configuration,
@@ -157,10 +170,15 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
             clock,
             today=RealClock().wall().date(),
             ring=ring,
-            confirm=lambda words: True,
+            confirm=lambda words: not transcript.without_ring,
             tell=console.tell,
             tap=replay,
         )
+    if transcript.early:
+        findings.lines.insert(0, _warn_of_transcript(transcript.early, "what follows is not known; record it again"))
+    elif (unsent := replay.find_unsent()) is not None:
+        failed, reason = CheckOutcome.FAILED, unsent.reason
+        findings.lines.append(CheckResult("replay", failed, said=reason, remedy=unsent.remedy, subject=unsent.role))
     name = f"replay of {path.name}"
     if transcript.station != configuration.station.name:
         name += f", recorded at station {transcript.station}"
@@ -169,16 +187,60 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
 
 
 @contextmanager
-def _recording(path: Path | None, station: Station, clock: Clock) -> Iterator[Recorder | None]:
-    """Yield a recorder to a transcript; None without a path."""
-    if path is None:
+def _recording(
+    request: CheckRequest, ring: ReferenceRing | None, station: Station, clock: Clock
+) -> Iterator[Recorder | None]:
+    """Yield a recorder to a transcript; None if none is asked for. What ends the check early is said in it."""
+    if request.record is None:
         yield None
         return
-    recorder = Recorder(path, station, clock)
+    stated = {"sensor_type": request.sensor_type, "material": request.material}
+    options = {name: value for name, value in stated.items() if value is not None}
+    options["ring"] = (
+        _NO_RING if ring is None else _STATED_RING if request.ring_ohm is None else f"{request.ring_ohm!r}"
+    )
+    recorder = Recorder(request.record, station, clock, options)
     try:
         yield recorder
+    except BaseException as error:
+        recorder.end_early(error)
+        raise
     finally:
         recorder.close()
+        if recorder.ended_early and recorder.has_links:
+            kept = f"{recorder.path}: kept up to the stop"
+            on_stderr(f"transcript {_describe_loss(recorder) if recorder.failure else kept}")
+
+
+def _end_check(why: str) -> None:
+    raise RecordingEnded(why)
+
+
+def _warn_of_transcript(said: str, remedy: str) -> CheckResult:
+    return CheckResult("transcript", CheckOutcome.WARNING, said=said, remedy=remedy, subject=WHOLE_BENCH)
+
+
+def _describe_loss(recorder: Recorder) -> str:
+    return f"{recorder.path} is not whole: {recorder.failure}"
+
+
+def _repeat_options(request: CheckRequest, transcript: Transcript) -> CheckRequest:
+    """Return a request with the options of a transcript where it states none itself (RefusedError)."""
+    options = transcript.options
+    request = replace(
+        request,
+        sensor_type=request.sensor_type or options.get("sensor_type"),
+        material=request.material or options.get("material"),
+    )
+    ring = options.get("ring", _STATED_RING)
+    if not request.ring or request.ring_ohm is not None or ring == _STATED_RING:
+        return request
+    if ring == _NO_RING:
+        return replace(request, ring=False)
+    try:
+        return replace(request, ring_ohm=float(ring))
+    except ValueError as error:
+        raise RefusedError(f"{transcript.name}: its ring is {ring!r}", remedy="take the file as recorded") from error
 
 
 def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:
@@ -343,13 +405,14 @@ def _write_page(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandO
 def _add_transcript(outcome: CommandOutcome[CheckedStation], recorder: Recorder) -> CommandOutcome[CheckedStation]:
     """Name the transcript, and the instruments of which it has nothing."""
     silent = [role for role, events in recorder.events_by_role.items() if not events]
+    events = plural(sum(recorder.events_by_role.values()), "event")
+    words, why, code = f"{recorder.path}: {events}{f', none of {list_names(silent)}' if silent else ''}", "", 0
     if recorder.failure:
-        result, words = outcome.result, f"{recorder.path} is not whole: {recorder.failure}"
+        why, code = _describe_loss(recorder), 1
     elif not recorder.has_links:
-        result, words = outcome.result, "none: no instrument of this station has a serial port or VISA resource"
-    else:
-        result = replace(outcome.result, transcript=recorder.path)
-        events = plural(sum(recorder.events_by_role.values()), "event")
-        words = f"{recorder.path}: {events}{f', none of {list_names(silent)}' if silent else ''}"
+        why = "no instrument of this station has a serial port or VISA resource"
+    path = None if why else recorder.path
+    words = words if not why else why if code else f"none: {why}"
     page = replace(outcome.page, printed=(("Transcript", words), *outcome.page.printed))
-    return replace(outcome, result=result, page=page)
+    result = replace(outcome.result, transcript=path, transcript_why=why)
+    return replace(outcome, result=result, page=page, exit_code=max(outcome.exit_code, code))

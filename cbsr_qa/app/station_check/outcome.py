@@ -46,11 +46,11 @@ class AnsweringInstrument:
 
 @dataclass(frozen=True, slots=True)
 class CheckedStation:
-    """A stored check of a station; ``page_why`` says why there is no ``page``.
+    """A stored check of a station; ``page_why`` says why there is no ``page``, ``transcript_why`` why no transcript.
 
     Parameters
     ----------
-    transcript : file of ``station record``; None if nothing was recorded.
+    transcript : file of ``station record``; None if nothing was recorded, or not all.
     """
 
     check: str
@@ -65,6 +65,7 @@ class CheckedStation:
     page: Path | None = None
     page_why: str = ""
     transcript: Path | None = None
+    transcript_why: str = ""
 
 
 def check_outcome(

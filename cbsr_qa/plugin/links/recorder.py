@@ -2,15 +2,24 @@
 
 import hashlib
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any, Final
 
-from cbsr_qa.domain.errors import CbsrError, InstrumentError, RefusedError
+from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import Station
 from cbsr_qa.plugin.links.taps import count_begun, hide, is_timeout, list_secrets
-from cbsr_qa.plugin.links.transcript import NOT_OPENED, Event, end_line, head_lines, quote
+from cbsr_qa.plugin.links.transcript import (
+    NO_RING,
+    NOT_OPENED,
+    STOPPED_BY,
+    THE_CHECK,
+    Event,
+    end_line,
+    head_lines,
+    quote,
+)
 from cbsr_qa.system.clock import Clock
 from cbsr_qa.system.files import writing
 
@@ -23,6 +32,8 @@ class Listener:
     """Remembers the last question to each instrument and what came of it."""
 
     replays = False
+    #: Why answers are over before the check is: those of instruments are not.
+    ended = ""
 
     def __init__(self, station: Station) -> None:
         self._hidden = list_secrets(station)
@@ -55,13 +66,20 @@ class Listener:
         received = self._received[role][-_SHOWN:]
         return f"sent {quote(self._sent[role])}, received {quote(received) if received else 'nothing'}"
 
+    def end_early(self, error: BaseException) -> None:
+        """Nothing is kept."""
+
+    def note_no_ring(self) -> None:
+        """Nothing is kept."""
+
 
 class Recorder(Listener):
     """Also writes all that passes through the links to a transcript; end it with :meth:`close`.
 
     Parameters
     ----------
-    path : file to write; it is taken away again if no link was opened.
+    path : file to write; it is taken away again if no link was opened, nor tried to be.
+    options : of the check, for its replay.
 
     Raises
     ------
@@ -69,7 +87,7 @@ class Recorder(Listener):
         If the file exists, or cannot be written.
     """
 
-    def __init__(self, path: Path, station: Station, clock: Clock) -> None:
+    def __init__(self, path: Path, station: Station, clock: Clock, options: Mapping[str, str] | None = None) -> None:
         super().__init__(station)
         self._clock = clock
         self._writing = threading.Lock()
@@ -79,6 +97,9 @@ class Recorder(Listener):
         self.has_links = False
         #: Why the file is not whole; empty while it is. The instruments are not to blame, and the check continues.
         self.failure = ""
+        #: Whether the check ended before it was over.
+        self.ended_early = False
+        self._count = 0
         #: Sign and bytes of what may be the beginning of a secret, which may come octet by octet.
         self._begun: dict[str, tuple[str, bytes]] = {}
         #: Events written of each instrument.
@@ -89,12 +110,20 @@ class Recorder(Listener):
                 self._file = path.open("x", encoding="ascii", newline="\n", buffering=1)
             except FileExistsError:
                 raise RefusedError(f"{path} exists already", remedy="name another file") from None
-        for line in head_lines(station.name, {spec.role: spec.driver for spec in station.instruments}):
+        drivers = {spec.role: spec.driver for spec in station.instruments}
+        for line in head_lines(station.name, drivers, options or {}):
             self._write_line(line)
 
     def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
-        self.has_links = True
-        return super().connect(role, open_real)
+        """As a listener; an address that no link can have is not tried."""
+        is_tried = True
+        try:
+            return super().connect(role, open_real)
+        except RefusedError:
+            is_tried = False
+            raise
+        finally:
+            self.has_links = self.has_links or is_tried
 
     def note(self, role: str, sign: str, data: bytes) -> None:
         """Note and write an event; an empty one is ignored."""
@@ -110,21 +139,37 @@ class Recorder(Listener):
             if shown:
                 self._write_event(role, sign, shown)
 
+    def end_early(self, error: BaseException) -> None:
+        """Write that the check ends here; once."""
+        if self.ended_early:
+            return
+        cause = error.by if isinstance(error, AbortedError) else str(error) or type(error).__name__
+        with self._writing:
+            self.ended_early = True
+            self._write_event(THE_CHECK, "#", STOPPED_BY + hide(cause.encode(), self._hidden))
+
+    def note_no_ring(self) -> None:
+        with self._writing:
+            self._write_event(THE_CHECK, "#", NO_RING)
+
     def close(self) -> None:
         """Write the last line."""
         with self._writing:
             for role, (sign, data) in self._begun.items():
                 self._write_event(role, sign, data)
-            events = sum(self.events_by_role.values())
-            self._write_line(end_line(events, self._digest.hexdigest()))
+            self._write_line(end_line(self._count, self._digest.hexdigest()))
             with suppress(OSError):  # what cannot be written is noted already
                 self._file.close()
             if not self.has_links:
                 self.path.unlink()
 
     def _write_event(self, role: str, sign: str, data: bytes) -> None:
-        self._write_line(Event(self._clock.now(), role, sign, data).format())
-        self.events_by_role[role] += 1
+        line = Event(self._clock.now(), role, sign, data).format()
+        if role in self.events_by_role:
+            self.events_by_role[role] += 1
+        # Before it is written: a signal breaks in after that.
+        self._count += 1
+        self._write_line(line)
 
     def _write_line(self, line: str) -> None:
         self._digest.update(f"{line}\n".encode("ascii"))

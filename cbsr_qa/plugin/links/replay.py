@@ -1,5 +1,6 @@
 """Answers drivers as the instruments of a transcript did."""
 
+import math
 import threading
 from collections import deque
 from collections.abc import Callable, Sequence
@@ -17,19 +18,32 @@ _SAME_CHECK: Final = "replay it with the options, the station file and the versi
 class Replay:
     """Answers drivers as the instruments of a transcript did; the clock advances to the times of its events.
 
+    What goes on beyond a transcript that ends early raises InstrumentError.
+
     Parameters
     ----------
     station : station that replays it; RefusedError if the transcript has not its instruments and drivers. None for
         any.
+    break_in : called before the first such error, with why the transcript ends; may raise what no driver catches.
     """
 
     replays = True
 
-    def __init__(self, transcript: Transcript, station: Station | None, clock: Clock) -> None:
+    def __init__(
+        self,
+        transcript: Transcript,
+        station: Station | None,
+        clock: Clock,
+        *,
+        break_in: Callable[[str], None] = lambda why: None,
+    ) -> None:
         self._transcript, self._clock = transcript, clock
         self._hidden = [] if station is None else list_secrets(station)
         #: By role: a link that is opened again goes on where it was.
         self._links: dict[str, ReplayedLink] = {}
+        self._break_in = break_in
+        #: Why its answers are over before the check is; empty if they are not.
+        self.ended = ""
         if station is None:
             return
         for spec in station.instruments:
@@ -45,12 +59,46 @@ class Replay:
     def connect(self, role: str, open_real: Callable[[], Any]) -> Any:
         """Open a role's link, or open it again. InstrumentError if it did not open then."""
         if role not in self._links:
-            self._links[role] = ReplayedLink(self._transcript, role, self._clock, self._hidden)
+            self._links[role] = ReplayedLink(self._transcript, role, self._clock, self._hidden, self._end)
         self._links[role].open()
         return self._links[role]
 
     def describe_last(self, role: str) -> str:
         return ""
+
+    def end_early(self, error: BaseException) -> None:
+        """Nothing is kept."""
+
+    def note_no_ring(self) -> None:
+        """Nothing is kept."""
+
+    def find_unsent(self) -> InstrumentError | None:
+        """Return the error that names what was sent then and has not been sent now by the instruments that are open.
+
+        None if there is nothing, or an instrument has sent something else.
+        """
+        found = [unsent for link in self._links.values() for unsent in link.list_unsent()]
+        if not found or any(link.differs for link in self._links.values()):
+            return None
+        first = min(found, key=lambda event: event.line)
+        counted = self._transcript.counted
+        reason = f"{counted} {first.line} has sent {quote(first.data)}, which is not sent now"
+        return InstrumentError(first.role, self._transcript.name, reason, remedy=_name_remedy(self._transcript))
+
+    def _end(self) -> None:
+        if not self.ended:
+            self.ended = self._transcript.early
+            self._break_in(self.ended)
+
+
+def _find_last_sent(transcript: Transcript) -> list[Event]:
+    """Return the last event of something sent, in a list; an empty one without."""
+    return [event for event in transcript.events if event.sign == ">"][-1:]
+
+
+def _name_remedy(transcript: Transcript) -> str:
+    """Return what to do where a replay differs: a test's pairs have no station file."""
+    return _SAME_CHECK if transcript.counted == "line" else ""
 
 
 class ReplayedLink:
@@ -63,12 +111,24 @@ class ReplayedLink:
     ----------
     clock : advances to the time of each event.
     hidden : secrets, which a transcript does not have.
+    end : called before the error of what goes on beyond a transcript that ends early.
     """
 
-    def __init__(self, transcript: Transcript, role: str, clock: Clock, hidden: Sequence[bytes] = ()) -> None:
+    def __init__(
+        self,
+        transcript: Transcript,
+        role: str,
+        clock: Clock,
+        hidden: Sequence[bytes] = (),
+        end: Callable[[], None] = lambda: None,
+    ) -> None:
         self._role, self._name, self._clock, self._hidden = role, transcript.name, clock, hidden
-        self._differs = ""
+        self._transcript, self._end = transcript, end
+        #: What was sent now and not then, in words; empty if nothing.
+        self.differs = ""
         self._events = deque(event for event in transcript.events if event.role == role)
+        #: Whether the instrument was the last one to be sent something: what it did not answer, it may have later.
+        self._is_last = any(event.role == role for event in _find_last_sent(transcript))
         self._received = bytearray()
         self._lock = threading.RLock()
         self._real = RealClock()
@@ -85,7 +145,13 @@ class ReplayedLink:
     def in_waiting(self) -> int:
         with self._lock:
             self._take_received(by_s=self._clock.now())
+            self._refuse_later(0.0)
             return len(self._received)
+
+    def list_unsent(self) -> list[Event]:
+        """Return what was sent then and has not been sent yet."""
+        with self._lock:
+            return [event for event in self._events if event.sign == ">"]
 
     def write(self, data: bytes) -> int:
         """Take what is sent. InstrumentError if something else was sent then, or nothing more."""
@@ -94,12 +160,15 @@ class ReplayedLink:
             while self._events and self._events[0].sign in "<-":
                 self._take_next()
             if not self._events:
-                self._differs = self._differs or f"the transcript ends before {quote(sent)} is sent"
-            elif not self._differs:
+                if self._transcript.early and not self.differs:
+                    self._refuse_beyond()
+                self.differs = self.differs or f"{self._name} ends before {quote(sent)} is sent"
+            elif not self.differs:
                 event = self._take_next()
                 self._asked = True
                 if event.data != sent:
-                    self._differs = f"line {event.line} has sent {quote(event.data)}, now {quote(sent)} is sent"
+                    counted = f"{self._transcript.counted} {event.line}"
+                    self.differs = f"{counted} has sent {quote(event.data)}, now {quote(sent)} is sent"
             self._refuse_what_differs()
             return len(data)
 
@@ -119,6 +188,8 @@ class ReplayedLink:
                 if not self._asked and not self._wait_for_next(self.timeout):
                     break
                 self._take_next()
+            if len(self._received) < size and self.timeout and not self._events:
+                self._refuse_later(self.timeout)
             return self._take(size)
 
     def read_raw(self) -> bytes:
@@ -128,6 +199,8 @@ class ReplayedLink:
             if not self._received and self._events and self._events[0].sign in "<!":
                 self._take_next()
             if not self._received:
+                if not self._events and self._is_last:
+                    self._refuse_beyond()
                 raise make_timeout()
             return self._take(len(self._received))
 
@@ -138,6 +211,8 @@ class ReplayedLink:
             while len(self._received) < count and self._events and self._events[0].sign in "<!":
                 self._take_next()
             if len(self._received) < count:
+                if not self._events and self._is_last:
+                    self._refuse_beyond()
                 raise make_timeout()
             return self._take(count)
 
@@ -160,8 +235,25 @@ class ReplayedLink:
         self.is_open = False
 
     def _refuse_what_differs(self) -> None:
-        if self._differs:
-            raise InstrumentError(self._role, self._name, self._differs, remedy=_SAME_CHECK)
+        if self.differs:
+            raise InstrumentError(self._role, self._name, self.differs, remedy=_name_remedy(self._transcript))
+
+    def _refuse_later(self, timeout_s: float) -> None:
+        """Refuse to say that nothing came, after a wait, where the transcript ends before that.
+
+        What it has is given out first.
+        """
+        if self._events or self._received or not self._transcript.early:
+            return
+        waited_s = self._wait(timeout_s, math.inf)
+        if self._clock.now() + waited_s > self._transcript.early_s:
+            self._refuse_beyond()
+
+    def _refuse_beyond(self) -> None:
+        """Refuse what goes on beyond a transcript that ends early (InstrumentError, or what ``end`` raises)."""
+        if self._transcript.early:
+            self._end()
+            raise InstrumentError(self._role, self._name, self._transcript.early)
 
     def _take_received(self, *, by_s: float) -> None:
         while self._events and self._events[0].sign in "<!" and self._events[0].time_s <= by_s:
@@ -169,14 +261,18 @@ class ReplayedLink:
 
     def _wait_for_next(self, timeout_s: float) -> bool:
         """Wait in real time for the next event; return whether it came within the timeout."""
+        later_s = self._events[0].time_s - self._clock.now()
+        return self._wait(timeout_s, later_s) >= later_s
+
+    def _wait(self, timeout_s: float, longest_s: float) -> float:
+        """Wait in real time, while the clock stands; return how long that was together, at most ``longest_s``."""
         now_s = self._clock.now()
         if now_s != self._waited_at_s:
             self._waited_at_s, self._waited_s = now_s, 0.0
-        later_s = max(self._events[0].time_s - now_s - self._waited_s, 0.0)
-        waited_s = min(later_s, timeout_s)
+        waited_s = max(min(timeout_s, longest_s - self._waited_s), 0.0)
         self._real.sleep(waited_s)
         self._waited_s += waited_s
-        return later_s <= timeout_s
+        return self._waited_s
 
     def _take_next(self) -> Event:
         """Take the next event at its time. OSError if it is a failure of the link."""

@@ -1,6 +1,8 @@
 """A check of the emulated bench that is recorded, and made again from its transcript."""
 
 import json
+import os
+import signal
 from dataclasses import replace
 from pathlib import Path
 
@@ -9,12 +11,15 @@ import pytest
 from simulated_setting import context
 
 from cbsr_qa.analysis.ring import RING
+from cbsr_qa.app.station_check import bench
 from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
 from cbsr_qa.cli.main import run_guarded
-from cbsr_qa.domain.errors import RefusedError
+from cbsr_qa.domain.errors import AbortedError, RefusedError
 from cbsr_qa.domain.run.station import CheckOutcome
 from cbsr_qa.plugin import Kind
 from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.links.recorder import Recorder
+from cbsr_qa.plugin.links.transcript import digest, end_line
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa.testing import assert_replays, replay_transcript
@@ -70,18 +75,77 @@ def test_instruments_that_only_read_are_asked_first_and_what_moves_last(recorded
     assert asked.index("multiplexer") < asked.index("applicator")
 
 
-def test_the_command_replays_and_names_a_transcript_that_was_cut_off(recorded, monkeypatch, capsys, tmp_path):
+def test_the_command_replays_with_the_options_of_the_recording(recorded, monkeypatch, capsys, tmp_path):
     _, path, result = recorded
     monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
-    ring = ["--ring-ohm", "10000"]
-    assert run_guarded(["station", "check", "bench-emulated", *ring, "--replay", str(path), "--json"]) == 0
+    assert run_guarded(["station", "check", "bench-emulated", "--replay", str(path), "--json"]) == 0
     document = json.loads(capsys.readouterr().out)
     assert document["check"] == "replay of bench.txt"
     assert len(document["results"]) == len(result.results)
+
+
+@pytest.mark.parametrize("share", [0.0, 0.02, 0.1, 0.5, 0.9, 0.99, 1.0])
+def test_a_transcript_that_was_cut_off_replays_up_to_there_and_accuses_no_instrument(recorded, tmp_path, share):
+    _, path, result = recorded
+    lines = path.read_text().splitlines(keepends=True)
+    kept = 10 + int(share * (len(lines) - 11))  # in the end all but the last line
     cut = tmp_path / "cut.txt"
-    cut.write_text("".join(path.read_text().splitlines(keepends=True)[:5000]))
-    assert run_guarded(["station", "check", "bench-emulated", "--replay", str(cut), "--json"]) == 2
-    assert "was cut off: line 5000 is not its end" in capsys.readouterr().err
+    cut.write_text("".join(lines[:kept]))
+    replayed = replay_check(BENCH, cut).result
+    assert replayed.outcome is CheckOutcome.WARNING
+    assert not [line for line in replayed.results if line.outcome is CheckOutcome.FAILED]
+    (early,) = [line for line in replayed.results if line.name == "transcript"]
+    assert early.said == f"the file was cut off after line {kept}"
+    assert share == 1.0 or replayed.results[-1].outcome is CheckOutcome.NOT_DONE
+    checked = [line for line in replayed.results if line.outcome is CheckOutcome.OK]
+    assert [line for line in result.results if line in checked] == checked
+    with pytest.raises(RefusedError, match="cut off"):
+        assert_replays("bench-emulated", cut)
+
+
+@pytest.mark.parametrize("step", ["put_together", "sample", "measure_ring"])
+def test_a_check_that_is_stopped_keeps_its_transcript_which_replays_up_to_the_stop(
+    monkeypatch, capfd, tmp_path, step
+):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    path = tmp_path / "k.txt"
+    with monkeypatch.context() as patch:
+        patch.setattr(bench._Look, step, lambda *_: os.kill(os.getpid(), signal.SIGTERM))
+        with pytest.raises(AbortedError):
+            check_station(CheckRequest("bench-emulated", record=path))
+    assert f"transcript {path}: kept up to the stop" in capfd.readouterr().err
+    results = replay_check(CheckRequest("bench-emulated"), path).result.results
+    assert not [line for line in results if line.outcome is CheckOutcome.FAILED]
+    (early,) = [line for line in results if line.name == "transcript"]
+    assert "stopped by signal SIGTERM (line " in early.said
+    assert early.outcome is CheckOutcome.WARNING
+    with pytest.raises(RefusedError, match="stopped by signal SIGTERM"):
+        assert_replays("bench-emulated", path)
+
+
+def test_a_full_disk_fails_the_recording_and_says_why(monkeypatch, capsys, tmp_path):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    full = property(lambda self: "No space left on device", lambda self, words: None)
+    monkeypatch.setattr(Recorder, "failure", full, raising=False)
+    path = tmp_path / "full.txt"
+    assert run_guarded(["station", "record", "bench-emulated", "--to", str(path), "--json"]) == 1
+    document = json.loads(capsys.readouterr().out)
+    assert document["transcript"] is None
+    assert document["outcome"] == "warning"
+    assert document["transcript_why"] == f"{path} is not whole: No space left on device"
+
+
+def test_what_is_not_sent_any_more_fails_the_replay(recorded, tmp_path):
+    """As of a driver that no longer switches its output off."""
+    *lines, end = recorded[1].read_text().splitlines()
+    time_text = lines[-1].split(" ")[0]
+    lines.append(f"{time_text} source_meter > smua.source.output = 0\\n")
+    path = tmp_path / "more.txt"
+    path.write_text("".join(f"{one}\n" for one in [*lines, end_line(int(end.split()[1]) + 1, digest(lines))]))
+    with pytest.raises(
+        AssertionError, match=rf"source_meter, replay: .*line {len(lines)} has sent 'smua.*, which is not"
+    ):
+        assert_replays("bench-emulated", path)
 
 
 def test_a_sensor_cannot_be_run_by_a_transcript(recorded, capsys):
@@ -106,9 +170,29 @@ def test_a_drivers_test_replays_its_own_instrument(recorded):
 
 
 def test_the_kit_makes_a_test_of_a_transcript_and_names_what_fails(recorded):
-    assert_replays("bench-emulated", recorded[1], ring_ohm=10000.0)
+    assert_replays("bench-emulated", str(recorded[1]))
     with pytest.raises(AssertionError, match=r"reference ring, gain error: "):
         assert_replays("bench-emulated", recorded[1], ring_ohm=20000.0)
+
+
+def test_a_check_without_the_ring_that_the_station_states_replays_without_it(monkeypatch, tmp_path):
+    monkeypatch.setenv("CBSR_QA_VAR", str(tmp_path / "var"))
+    station, path = tmp_path / "ringed.toml", tmp_path / "t.txt"
+    station.write_text(BENCH_FILE.read_text() + "\n[reference_ring]\nresistance_ohm = 10000.0\n")
+    made = check_station(CheckRequest(str(station), ring=False, material="cbsr-8wt", record=path)).result
+    assert "\nmaterial cbsr-8wt\nring none\n" in path.read_text()
+    assert_replays(str(station), path)
+    again = replay_check(CheckRequest(str(station)), path).result.results
+    assert again == made.results
+
+
+def test_an_older_transcript_which_states_no_options_replays_with_those_that_are_given(recorded, tmp_path):
+    *lines, end = recorded[1].read_text().splitlines()
+    lines.remove("ring 10000.0")
+    path = tmp_path / "older.txt"
+    path.write_text("".join(f"{one}\n" for one in [*lines, end_line(int(end.split()[1]), digest(lines))]))
+    assert_replays("bench-emulated", path, ring_ohm=10000.0)
+    assert not [line for line in replay_check(BENCH, path).result.results if line not in recorded[2].results]
 
 
 def test_an_existing_file_is_refused_before_anything_is_opened(recorded, monkeypatch, tmp_path):

@@ -14,6 +14,7 @@ from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing
 from cbsr_qa.domain.readings.frames import SampleBlock
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult
 from cbsr_qa.plugin.discovery import discover
+from cbsr_qa.plugin.links.recorder import Listener
 from cbsr_qa.station.setup import configure
 from cbsr_qa.system.clock import VirtualClock
 from cbsr_qa.testing.bench import Script, ScriptedApplicator, ScriptedFrames, ScriptedLoadCell, raising
@@ -275,8 +276,11 @@ def test_on_a_real_bench_the_operator_connects_the_ring_first(bench):
 
 
 @pytest.mark.parametrize("confirm", [None, lambda words: False])
-def test_a_ring_nobody_has_connected_is_not_measured(bench, confirm):
+def test_a_ring_nobody_has_connected_is_not_measured_which_a_transcript_is_told(bench, confirm, monkeypatch):
+    told = []
+    monkeypatch.setattr(Listener, "note_no_ring", lambda self: told.append("no ring"))
     assert bench.look(RING, confirm).ring is None
+    assert len(told) == 1
     assert bench.lines["reference ring", "readings"].outcome is NOT_DONE
     assert "frame_source.acquire" not in bench.script.names()
 

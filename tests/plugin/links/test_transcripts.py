@@ -1,13 +1,14 @@
 """Transcripts of links: written and read without loss, replayed byte for byte, and refused if they are not whole."""
 
 import errno
+import gzip
 import random
 from dataclasses import replace
 
 import pytest
 from pyvisa.errors import VisaIOError
 
-from cbsr_qa.domain.errors import InstrumentError, RefusedError
+from cbsr_qa.domain.errors import ConfigError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import InstrumentSpec
 from cbsr_qa.plugin.links.recorder import Recorder
 from cbsr_qa.plugin.links.replay import Replay, ReplayedLink
@@ -16,7 +17,7 @@ from cbsr_qa.plugin.links.taps import is_replaying, use_tap
 from cbsr_qa.plugin.links.transcript import Event, Transcript, digest, end_line, escape, unescape
 from cbsr_qa.station.setup import configure
 from cbsr_qa.system.clock import VirtualClock
-from cbsr_qa.testing import replay_pairs
+from cbsr_qa.testing import replay_pairs, replay_transcript
 
 
 @pytest.fixture(scope="module")
@@ -199,10 +200,78 @@ def test_events_out_of_order_or_of_no_instrument_are_refused_though_the_digest_f
         Transcript.read(path)
 
 
-def test_line_ends_of_another_system_change_nothing(recorded, tmp_path):
+def test_line_ends_of_another_system_and_empty_lines_at_the_end_change_nothing(recorded, tmp_path):
     path = tmp_path / "crlf.txt"
-    path.write_bytes(recorded[0].read_bytes().replace(b"\n", b"\r\n"))
-    assert Transcript.read(path).events == Transcript.read(recorded[0]).events
+    for content in (recorded[0].read_bytes().replace(b"\n", b"\r\n"), recorded[0].read_bytes() + b"\n\n"):
+        path.write_bytes(content)
+        assert Transcript.read(str(path)).events == Transcript.read(recorded[0]).events
+
+
+def test_a_file_that_was_cut_off_is_read_up_to_there_only_if_that_is_asked_for(recorded, tmp_path):
+    whole = Transcript.read(recorded[0])
+    lines = recorded[0].read_text().splitlines(keepends=True)
+    path = tmp_path / "cut.txt"
+    for content in ("".join(lines[:6]), "".join(lines[:6]) + lines[6][:-3]):  # also within a line
+        path.write_text(content)
+        with pytest.raises(RefusedError, match="was cut off"):
+            Transcript.read(path)
+        cut = Transcript.read(path, whole=False)
+        assert cut.events == whole.events[: len(cut.events)]
+        assert cut.events[-1].line == 6
+        assert (cut.early, cut.early_s) == ("the file was cut off after line 6", cut.events[-1].time_s)
+    path.write_text("".join([*lines, "0.0 load_cell > x\n"]))
+    with pytest.raises(RefusedError, match="continues after"):
+        Transcript.read(path, whole=False)
+
+
+def test_a_recording_that_is_stopped_ends_there_and_a_changed_byte_of_it_is_found(station, tmp_path):
+    path = tmp_path / "t.txt"
+    recorder = Recorder(path, station, VirtualClock(), {"ring": "none", "material": "8 wt% ä"})
+    link = recorder.connect("load_cell", Wire)
+    link.write(b"one")
+    recorder.end_early(KeyboardInterrupt("signal SIGINT"))
+    recorder.end_early(ValueError("what came of it"))
+    link.write(b"safe")
+    recorder.close()
+    read = Transcript.read(path)
+    assert [event.data for event in read.events] == [b"one"]
+    assert read.options == {"ring": "none", "material": "8 wt% ä"}
+    assert read.early == "the recording was stopped by signal SIGINT (line 7)"
+    link = Replay(read, None, VirtualClock()).connect("load_cell", Wire)
+    link.write(b"one")
+    for _ in range(2):
+        with pytest.raises(InstrumentError, match=r"stopped by signal SIGINT \(line 7\)"):
+            link.write(b"two")
+    path.write_text(path.read_text().replace("SIGINT", "SIGHUP"))
+    with pytest.raises(RefusedError, match="another SHA-256"):
+        Transcript.read(path)
+
+
+def test_the_first_to_go_on_beyond_the_end_breaks_in_and_others_fail(recorded, station):
+    def break_in(why):
+        raise KeyboardInterrupt(why)
+
+    transcript = replace(Transcript.read(recorded[0]), events=(), early="cut off", early_s=1.0)
+    clock = VirtualClock()
+    link = Replay(transcript, station, clock, break_in=break_in).connect("load_cell", Wire)
+    assert link.in_waiting == 0  # up to there it is known that nothing came
+    clock.sleep(1.5)
+    with pytest.raises(KeyboardInterrupt, match="cut off"):
+        _ = link.in_waiting
+    with pytest.raises(InstrumentError, match="cut off"):
+        link.write(b"safe")
+
+
+def test_an_address_that_no_link_can_have_leaves_no_file(station, tmp_path):
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+
+    def refuse():
+        raise ConfigError("address 'usb:1A86' is not a USB device")
+
+    with pytest.raises(ConfigError):
+        recorder.connect("load_cell", refuse)
+    recorder.close()
+    assert not (tmp_path / "t.txt").exists()
 
 
 def test_a_link_that_failed_to_open_fails_to_open_again_and_goes_on_when_it_is_opened_once_more(station, tmp_path):
@@ -304,14 +373,63 @@ def test_pairs_of_a_drivers_test_are_replayed_to_a_link_with_their_line_ends():
         assert link.read_line() == b"ready"
         link.write(b"VOLT?\n")
         assert link.read_line() == b"1.5"
-        with pytest.raises(InstrumentError, match=r"has sent 'OUTP 0\\n', now 'OUTP 1\\n'"):
+        with pytest.raises(InstrumentError, match=r"pair 3 has sent 'OUTP 0\\n', now 'OUTP 1\\n'") as raised:
             link.write(b"OUTP 1\n")
+        assert not raised.value.remedy  # about a station file, which such a test does not have
+
+
+def test_a_driver_that_leaves_something_out_fails_its_test(recorded):
+    clock = VirtualClock()
+    pairs = [("T?", "1"), ("OUTP 0", None)]
+    left_out = r"pair 2 has sent 'OUTP 0\\n', which is not sent now"
+    with pytest.raises(AssertionError, match=left_out), replay_pairs("meter", pairs, clock):
+        SerialLink("meter", "any", baud=9600, timeout_s=0.05).write(b"T?\n")
+    with pytest.raises(AssertionError, match=r"pair 1 has sent"), replay_pairs("meter", [("T?", "1")], clock):
+        pass  # not even opened
+    with replay_pairs("meter", [("T?", "1")], clock):
+        SerialLink("meter", "any", baud=9600, timeout_s=0.05).write(b"T?\n")  # what came need not be read
+    with (
+        pytest.raises(AssertionError, match=r"line \d+ has sent '.*one.*', which"),
+        replay_transcript(recorded[0], clock),
+    ):
+        SerialLink("load_cell", "any", baud=9600, timeout_s=0.05)
+    with pytest.raises(ZeroDivisionError), replay_pairs("meter", [("T?", "1")], clock):
+        raise ZeroDivisionError  # a test's own failure comes first
+
+
+@pytest.mark.parametrize(
+    ("message", "data"),
+    [
+        ("21.5 °C", "21.5 °C".encode()),
+        ([0x31, 0x32], b"12"),
+        ((0x31,), b"1"),
+        (5, b"5"),
+        (2.5, b"2.5"),
+        (bytearray(b"x"), b"x"),
+    ],
+)
+def test_pairs_may_be_all_that_pymeasure_takes(message, data):
+    (event,) = Transcript.from_pairs("meter", [(None, message)], end=b"\n").events
+    assert event.data == data + b"\n"
+
+
+@pytest.mark.parametrize("pair", [("T?", "1", "2"), ("T?",), ("T?", [300]), ("T?", object()), ("T?", True), 7])
+def test_a_pair_that_is_none_is_named(pair):
+    with pytest.raises(RefusedError, match=r"pair 2 is ") as refused:
+        Transcript.from_pairs("meter", [("T?", "1"), pair])
+    assert "(sent, received)" in refused.value.remedy
 
 
 def test_a_file_of_other_bytes_or_none_is_refused(tmp_path):
-    (tmp_path / "binary").write_bytes(b"\xff\xfe")
-    with pytest.raises(RefusedError, match="byte 1 is not ASCII"):
-        Transcript.read(tmp_path / "binary")
+    for content, words in (
+        (b"\xe4", "byte 1 is not ASCII"),
+        ("cbsr-qa transcript 1".encode("utf-16"), "is UTF-16 text"),
+        ("cbsr-qa transcript 1".encode("utf-16-be"), "is UTF-16 text"),
+        (gzip.compress(b"cbsr-qa transcript 1"), r"is compressed \(gzip\)"),
+    ):
+        (tmp_path / "binary").write_bytes(content)
+        with pytest.raises(RefusedError, match=words):
+            Transcript.read(tmp_path / "binary")
     with pytest.raises(RefusedError, match="cannot be read"):
         Transcript.read(tmp_path / "none")
 
