@@ -17,8 +17,8 @@ def replay_transcript(path: Path | str, clock: Clock) -> Iterator[Transcript]:
     """Have every serial port and VISA resource that is opened meanwhile answer as in a transcript, by its role.
 
     What a driver sends must be what was sent then; the first that differs is an InstrumentError that names the line.
-    AssertionError at the end if an instrument that was opened was sent less than then. RefusedError if the transcript
-    is not whole.
+    AssertionError at the end if an instrument that was opened was sent less than then, or a driver caught that error.
+    RefusedError if the transcript is not whole.
 
     Parameters
     ----------
@@ -29,14 +29,14 @@ def replay_transcript(path: Path | str, clock: Clock) -> Iterator[Transcript]:
     replay = Replay(transcript, None, clock)
     with use_tap(replay):
         yield transcript
-    _check_all_sent(replay)
+    _check_sent(replay)
 
 
 @contextmanager
 def replay_pairs(role: str, pairs: Iterable[Pair], clock: Clock, *, end: bytes = b"\n") -> Iterator[None]:
     """Have the role's serial port or VISA resource answer as pairs (sent, received) of PyMeasure's tests state.
 
-    AssertionError at the end if less was sent. RefusedError if a pair is none.
+    AssertionError at the end if something else was sent, or less. RefusedError if a pair is none.
 
     Parameters
     ----------
@@ -47,7 +47,7 @@ def replay_pairs(role: str, pairs: Iterable[Pair], clock: Clock, *, end: bytes =
     replay = Replay(Transcript.from_pairs(role, pairs, end=end), None, clock)
     with use_tap(replay):
         yield
-    _check_all_sent(replay, role)
+    _check_sent(replay, role)
 
 
 def assert_replays(station: str, path: Path | str, *, ring_ohm: float | None = None) -> None:
@@ -70,10 +70,10 @@ def assert_replays(station: str, path: Path | str, *, ring_ohm: float | None = N
         raise AssertionError("\n".join(failed))
 
 
-def _check_all_sent(replay: Replay, role: str = "") -> None:
-    """Raise AssertionError if something was not sent, or the role was not even opened."""
+def _check_sent(replay: Replay, role: str = "") -> None:
+    """Raise AssertionError if something else was sent than then, or less, also if the role was not even opened."""
     if role:
         with suppress(InstrumentError):
             replay.connect(role, lambda: None)
-    if (unsent := replay.find_unsent()) is not None:
-        raise AssertionError(unsent.reason)
+    if (different := replay.find_difference()) is not None:
+        raise AssertionError(different.reason)

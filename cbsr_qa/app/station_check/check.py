@@ -176,9 +176,11 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
         )
     if transcript.early:
         findings.lines.insert(0, _warn_of_transcript(transcript.early, "what follows is not known; record it again"))
-    elif (unsent := replay.find_unsent()) is not None:
-        failed, reason = CheckOutcome.FAILED, unsent.reason
-        findings.lines.append(CheckResult("replay", failed, said=reason, remedy=unsent.remedy, subject=unsent.role))
+    elif (different := replay.find_difference()) is not None:
+        words = different.reason.removeprefix(f"{different.role} at {different.address}: ")
+        if not any(words in line.said for line in findings.lines):  # the driver did not say so
+            failed, remedy = CheckOutcome.FAILED, different.remedy
+            findings.lines.append(CheckResult("replay", failed, said=words, remedy=remedy, subject=different.role))
     name = f"replay of {path.name}"
     if transcript.station != configuration.station.name:
         name += f", recorded at station {transcript.station}"

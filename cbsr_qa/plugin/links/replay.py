@@ -72,18 +72,21 @@ class Replay:
     def note_no_ring(self) -> None:
         """Nothing is kept."""
 
-    def find_unsent(self) -> InstrumentError | None:
-        """Return the error that names what was sent then and has not been sent now by the instruments that are open.
+    def find_difference(self) -> InstrumentError | None:
+        """Return the error of an open instrument that was sent something else than then, or less; None without.
 
-        None if there is nothing, or an instrument has sent something else.
+        A driver may have caught it.
         """
-        found = [unsent for link in self._links.values() for unsent in link.list_unsent()]
-        if not found or any(link.differs for link in self._links.values()):
+        different = [(role, link.differs) for role, link in self._links.items() if link.differs]
+        unsent = [event for link in self._links.values() for event in link.list_unsent()]
+        for event in sorted(unsent, key=lambda event: event.line):
+            counted = f"{self._transcript.counted} {event.line}"
+            different.append((event.role, f"{counted} has sent {quote(event.data)}, which is not sent now"))
+        if not different:
             return None
-        first = min(found, key=lambda event: event.line)
-        counted = self._transcript.counted
-        reason = f"{counted} {first.line} has sent {quote(first.data)}, which is not sent now"
-        return InstrumentError(first.role, self._transcript.name, reason, remedy=_name_remedy(self._transcript))
+        return InstrumentError(
+            different[0][0], self._transcript.name, different[0][1], remedy=_name_remedy(self._transcript)
+        )
 
     def _end(self) -> None:
         if not self.ended:
