@@ -359,7 +359,7 @@ class _Look:
         silent_roles = [spec.role for spec in self._missing if _rank_movement(spec)]
         if silent_roles:
             said = f"not known of {list_names(silent_roles)}: no answer"
-            remedy = "" if self._tap.replays else "look at the bench: is the source off, and the head up?"
+            remedy = "" if self._tap.replays else "look at the bench: the source must be off, and the head up"
             self._add(CheckResult("safe state", CheckOutcome.WARNING, said=said, remedy=remedy, subject=WHOLE_BENCH))
         elif self._mounted and not unsafe:
             said = _describe_safe(self._mounted)
