@@ -70,9 +70,9 @@ class Event:
     ----------
     time_s : of the station's clock.
     role : instrument's role at the station.
-    sign : ``>`` sent, ``<`` received, ``-`` received and thrown away, ``!`` a failure.
-    data : the bytes; of a failure its words (UTF-8).
-    line : in the file, counted from 1; 0 where it is not from a file.
+    sign : ``>`` sent, ``<`` received, ``-`` received and thrown away, ``!`` a failure, ``#`` of the check itself.
+    data : the bytes; of a failure, and of the check, its words (UTF-8).
+    line : in the file, or pair of a test, counted from 1; 0 where it is of neither.
     """
 
     time_s: float
@@ -142,7 +142,8 @@ class Transcript:
         _check_order(path, drivers, events)
         early, early_s = "", math.inf
         if end is None:
-            early, early_s = f"the file was cut off after line {len(lines)}", events[-1].time_s if events else 0.0
+            early = f"the file was cut off after line {len(lines)}; whether it was changed cannot be seen"
+            early_s = events[-1].time_s if events else 0.0
         for at, event in enumerate(events):
             if event.sign == "#" and event.data.startswith(STOPPED_BY):
                 early = f"the recording was {event.data.decode(errors='replace')} (line {event.line})"
