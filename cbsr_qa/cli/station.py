@@ -61,7 +61,8 @@ def check(
         context.fail("The station is named twice: leave --station out." if station else "Missing option '--station'.")
     if replay is not None and golden is not None:
         context.fail("--golden runs a sensor, which a transcript cannot: leave out --golden or --replay.")
-    from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
+    from cbsr_qa.app.station_check.check import check_station, replay_check
+    from cbsr_qa.app.station_check.request import CheckRequest
     from cbsr_qa.cli.console import Terminal
 
     request = CheckRequest(
@@ -107,7 +108,8 @@ def record(
     cbsr-qa station check STATION --replay TRANSCRIPT makes the same check without the instruments. Exit code 1 also
     if the file is not whole.
     """
-    from cbsr_qa.app.station_check.check import CheckRequest, check_station
+    from cbsr_qa.app.station_check.check import check_station
+    from cbsr_qa.app.station_check.request import CheckRequest
     from cbsr_qa.cli.console import Terminal
 
     request = CheckRequest(

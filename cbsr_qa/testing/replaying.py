@@ -60,7 +60,8 @@ def assert_replays(station: str, path: Path | str, *, ring_ohm: float | None = N
     station : file or name, as at ``cbsr-qa station record``.
     ring_ohm : another one than the transcript states.
     """
-    from cbsr_qa.app.station_check.check import CheckRequest, replay_check  # other tests need no application
+    from cbsr_qa.app.station_check.check import replay_check  # other tests need no application
+    from cbsr_qa.app.station_check.request import CheckRequest
 
     if early := Transcript.read(path).early:
         raise RefusedError(f"{path}: {early}", remedy="take a transcript of a whole check")

@@ -12,7 +12,8 @@ import pytest
 from cbsr_qa.app.run.console import Unattended
 from cbsr_qa.app.station_check import check as station_check, outcome
 from cbsr_qa.app.station_check.bench import BenchFindings
-from cbsr_qa.app.station_check.check import CheckRequest, check_station
+from cbsr_qa.app.station_check.check import check_station
+from cbsr_qa.app.station_check.request import CheckRequest
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.config.loader import load_scene, load_station
 from cbsr_qa.domain.errors import InstrumentError

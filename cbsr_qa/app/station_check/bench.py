@@ -1,19 +1,19 @@
 """Checks a station's instruments one by one, then measures a ring of resistors with all of them; nothing moves."""
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import date
-from typing import Any, Final
+from typing import Final
 
 import numpy as np
 
 from cbsr_qa.analysis.ring import RING, check_ring
-from cbsr_qa.app.gate.station_state import CORRECT_DATE
+from cbsr_qa.app.station_check.due_dates import check_due, check_standards
+from cbsr_qa.app.station_check.ring import describe_connecting, simulates_frames, with_ring
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
-from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy
-from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing, Station
-from cbsr_qa.domain.plan.standards import StandardRole, find_standard, is_dated_later, name_unstated, past_due
+from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing
+from cbsr_qa.domain.plan.standards import StandardRole, find_standard
 from cbsr_qa.domain.run.run import InstrumentIdentity
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, RingReadings
 from cbsr_qa.eit.forward.closed_forms import FEWEST_RESISTORS
@@ -108,7 +108,7 @@ def look_at_bench(
         try:
             for spec in sorted(look.configuration.station.instruments, key=_rank_movement):
                 look.open(spec, opened, today)
-            look.check_standards(today)
+            look.found.lines += check_standards(look.configuration.station, today)
             connected = with_simulated_ring is not None or (bool(resistances) and look.has_ring(resistances, confirm))
             look.put_together(callbacks)
             look.sample()
@@ -128,32 +128,6 @@ def _rank_movement(spec: InstrumentSpec) -> int:
     if FORCE_APPLICATOR in spec.provides:
         return 2
     return int(any(role in spec.provides for role in (FRAME_SOURCE, *_ELECTRICAL)))
-
-
-def simulates_frames(station: Station) -> bool:
-    """Whether the frames of a station are simulated, so that a ring can replace the sheet."""
-    sources = [spec for spec in station.instruments if FRAME_SOURCE in spec.provides]
-    return station.emulated_scene is not None or any("scene" in spec.options for spec in sources)
-
-
-def with_ring(configuration: Configuration, resistances_ohm: tuple[float, ...]) -> Configuration:
-    """Connect a ring in place of the sheet in every world the station simulates."""
-    station = configuration.station
-
-    def replace_scene(spec: InstrumentSpec) -> InstrumentSpec:
-        if FRAME_SOURCE not in spec.provides or "scene" not in spec.options:
-            return spec
-        return replace(spec, options={**spec.options, "scene": _add_ring(spec.options["scene"], resistances_ohm)})
-
-    emulated_scene = station.emulated_scene
-    if isinstance(emulated_scene, Mapping):
-        emulated_scene = _add_ring(emulated_scene, resistances_ohm)
-    instruments = tuple(replace_scene(spec) for spec in station.instruments)
-    return replace(configuration, station=replace(station, instruments=instruments, emulated_scene=emulated_scene))
-
-
-def _add_ring(scene: Mapping[str, Any], resistances_ohm: tuple[float, ...]) -> dict[str, Any]:
-    return {**scene, "scene": {**scene["scene"], "reference_ring_ohm": list(resistances_ohm)}}
 
 
 class _Look:
@@ -188,25 +162,7 @@ class _Look:
             if not isinstance(mounted.instrument, Linked):
                 self._ask(mounted)
         if spec.calibration_due is not None:
-            self._add(_check_due(spec.role, spec.calibration_due, self.configuration.station, today))
-
-    def check_standards(self, today: date) -> None:
-        """Add a line for each reference standard of the station."""
-        for standard in self.configuration.station.standards:
-            line = _check_due(f"standards.{standard.role}", standard.due, self.configuration.station, today)
-            line = replace(line, said=f"{standard.all_words()}{line.said.removeprefix(f'due on {standard.due}')}")
-            if is_dated_later(standard.date, today):
-                outcome, policy = _judge_date(self.configuration.station, is_wrong=True)
-                said = f"{standard.all_words()}; dated {standard.date}, later than today, {today}; {policy}"
-                line = replace(line, outcome=outcome, said=said, remedy=CORRECT_DATE)
-            self._add(line)
-        unstated = ", ".join(name_unstated(self.configuration.station.standards))
-        if unstated:
-            said = f"not stated: {unstated}"
-            remedy = "state their certificates in [standards] of the station file"
-            self._add(
-                CheckResult("certificates", CheckOutcome.NOT_DONE, said=said, remedy=remedy, subject="standards")
-            )
+            self._add(check_due(spec.role, spec.calibration_due, self.configuration.station, today))
 
     def _ask(self, mounted: Mounted, *, emulated: bool = False) -> None:
         """Ask an instrument for identity and self-test; ``emulated`` as for :func:`identity_of`."""
@@ -248,7 +204,7 @@ class _Look:
         """Request the ring, before instruments that check their contacts are linked."""
         if self._missing:
             return False
-        is_connected = confirm is not None and confirm(_describe_connecting(resistances_ohm))
+        is_connected = confirm is not None and confirm(describe_connecting(resistances_ohm))
         if not is_connected:
             self._tap.note_no_ring()
         return is_connected
@@ -400,32 +356,6 @@ def _skip_ring(why: str, remedy: str) -> CheckResult:
     return CheckResult("readings", CheckOutcome.NOT_DONE, said=why, remedy=remedy, subject=RING)
 
 
-def _check_due(subject: str, due: str, station: Station, today: date) -> CheckResult:
-    """Compare a calibration date of the station file with today."""
-    days = (date.fromisoformat(due) - today).days
-    is_late = past_due(due, today)
-    outcome, policy = _judge_date(station, is_wrong=is_late)
-    return CheckResult(
-        "calibration due",
-        outcome,
-        value=float(days),
-        unit="d",
-        allowed="0 or more days left",
-        said=f"due on {due}" + (f"; {policy}" if is_late else ""),
-        remedy="have it calibrated and give the new date in the station file" if is_late else "",
-        subject=subject,
-    )
-
-
-def _judge_date(station: Station, *, is_wrong: bool) -> tuple[CheckOutcome, str]:
-    """Return the outcome of a date, and what a wrong one means for runs, in words."""
-    if not is_wrong:
-        return CheckOutcome.OK, ""
-    if station.gate.policy(GateCheck.CALIBRATION_DUE) is GatePolicy.REFUSE:
-        return CheckOutcome.FAILED, "runs are refused"
-    return CheckOutcome.WARNING, "runs carry a warning"
-
-
 def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale_s: float) -> CheckResult:
     block, name = sampler.samples_since(begun_s), f"samples of {sampler.channel}"
     if not len(block) and FORCE_APPLICATOR in spec.provides and sampler.channel != FORCE_CHANNEL:
@@ -447,11 +377,3 @@ def _check_samples(spec: InstrumentSpec, sampler: Sampler, begun_s: float, stale
         remedy="" if finite else "check its cable and supply",
         subject=spec.role,
     )
-
-
-def _describe_connecting(resistances_ohm: tuple[float, ...]) -> str:
-    alike = len(set(resistances_ohm)) == 1
-    resistance_words = (
-        f"{resistances_ohm[0]:g} Ω each" if alike else f"{min(resistances_ohm):g} to {max(resistances_ohm):g} Ω"
-    )
-    return f"Connect the reference ring ({len(resistances_ohm)} resistors, {resistance_words}) in place of the sensor"

@@ -1,15 +1,12 @@
 """Check a station: its instruments, a reference ring, a golden sensor; the check is stored with the runs."""
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import replace
 from functools import cache
 from pathlib import Path
-from typing import Final
 
 from cbsr_qa.app.run.console import NOBODY, RunConsole
-from cbsr_qa.app.run.request import RunRequest
-from cbsr_qa.app.run.run import run_sensor
 from cbsr_qa.app.run.stopping import stoppable
 from cbsr_qa.app.station_check.bench import (
     WHOLE_BENCH,
@@ -17,20 +14,19 @@ from cbsr_qa.app.station_check.bench import (
     Confirm,
     RecordingEnded,
     look_at_bench,
-    simulates_frames,
 )
-from cbsr_qa.app.station_check.golden_history import compare_golden, golden_history
+from cbsr_qa.app.station_check.golden_run import describe_placing, may_press, run_golden
 from cbsr_qa.app.station_check.outcome import CheckedStation, check_outcome
+from cbsr_qa.app.station_check.request import CheckRequest, choose_ring, load_configuration, refuse_both
+from cbsr_qa.app.station_check.ring import simulates_frames
 from cbsr_qa.config.merging import Configuration
 from cbsr_qa.config.paths import calibrations_folder, database_url, reports_folder, writable_folder
-from cbsr_qa.config.serials import validate_operator, validate_serial
-from cbsr_qa.domain.errors import CbsrError, RefusedError, StoppedError
+from cbsr_qa.domain.errors import CbsrError, RefusedError
 from cbsr_qa.domain.plan.plan import ReferenceRing, Station
 from cbsr_qa.domain.results.report import CommandOutcome
 from cbsr_qa.domain.run.run import RunIdentity
-from cbsr_qa.domain.run.states import EndReason
 from cbsr_qa.domain.run.station import CheckOutcome, CheckResult, StationCheck
-from cbsr_qa.plugin.discovery import Plugins, discover
+from cbsr_qa.plugin.discovery import discover
 from cbsr_qa.plugin.links.recorder import Recorder
 from cbsr_qa.plugin.links.replay import Replay
 from cbsr_qa.plugin.links.transcript import Transcript
@@ -39,52 +35,13 @@ from cbsr_qa.report.render import render_sections, report_name, write_report
 from cbsr_qa.report.tables import list_names, plural
 from cbsr_qa.station.control.lock import station_held
 from cbsr_qa.station.interrupts import on_stderr
-from cbsr_qa.station.setup import configure, station_clock
+from cbsr_qa.station.setup import station_clock
 from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.clock import Clock, RealClock, VirtualClock
 
-#: Shipped recipe of a golden sensor's run.
-GOLDEN_RECIPE: Final = "golden-check"
-#: Limits for a ring given only on the command line: those of an empty [reference_ring] table.
-_RING_LIMITS: Final[Mapping[str, float]] = {
-    "tolerance": 1e-3,
-    "gain": 1e-2,
-    "reading": 1e-2,
-    "noise": 1e-3,
-    "offset_V": 1e-3,
-    "lead_ohm": 100.0,
-}
-_RING_FRAMES: Final = 16
 #: Words for no ring, and for that of the station file, in the head of a transcript.
 _NO_RING, _STATED_RING = "none", "stated"
-#: Resistances that a station file may state.
-_OHM: Final = (1e-3, 1e9)
-
-#: Lines that must pass before the golden sensor is pressed.
-_NEEDED: Final = ("identity", "together", "safe state", "closing")
-
-
-@dataclass(frozen=True, slots=True)
-class CheckRequest:
-    """A check to make; see the options of ``cbsr-qa station check`` and ``station record``.
-
-    Parameters
-    ----------
-    record : transcript to write of all that passes between drivers and instruments; must not exist.
-    """
-
-    station: str
-    golden: str | None = None
-    operator: str = ""
-    ring_ohm: float | None = None
-    ring: bool = True
-    ring_connected: bool = False
-    sensor_type: str | None = None
-    material: str | None = None
-    seed: int = 0
-    database: str | None = None
-    record: Path | None = None
 
 
 def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> CommandOutcome[CheckedStation]:
@@ -101,10 +58,10 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
         If a signal stopped it; the bench is safe then, and nothing is stored.
     """
     plugins = discover()
-    configuration = _load_configuration(request, plugins)
-    ring = _choose_ring(request, configuration.station.reference_ring)
+    configuration = load_configuration(request, plugins)
+    ring = choose_ring(request, configuration.station.reference_ring)
     simulated = simulates_frames(configuration.station)
-    _refuse_both(request, ring, simulated)
+    refuse_both(request, ring, simulated)
     for folder in (reports_folder(), calibrations_folder()):
         writable_folder(folder)
     ask = console.ask if console.attended else None
@@ -114,7 +71,7 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
     with open_store(database_url(request.database), tell=on_stderr) as store:
         if confirm_placed is not None and request.golden is not None and ring is None:
             # Contacts are checked while the instruments are linked: something must be connected by then.
-            confirm_placed(_describe_placing(request.golden))
+            confirm_placed(describe_placing(request.golden))
         doing = "checking the station"
         with station_held(configuration.station.name, who=request.operator, doing=doing), stoppable():
             clock = station_clock(configuration)
@@ -136,8 +93,8 @@ def check_station(request: CheckRequest, console: RunConsole = NOBODY) -> Comman
         if recorder is not None and recorder.failure:
             findings.lines.append(_warn_of_transcript(_describe_loss(recorder), "make room, and record it again"))
         golden = None
-        if request.golden is not None and _may_press(request.golden, findings, confirm_placed):
-            golden = _run_golden(request, request.golden, findings, store, console)
+        if request.golden is not None and may_press(request.golden, findings, confirm_placed):
+            golden = run_golden(request, request.golden, findings, store, console)
         check = _compose_check(store.new_id(), request, configuration, software_versions(plugins), findings, golden)
         store.stations.save_check(check, findings.ring)
     named = "" if golden is None else golden.words
@@ -159,8 +116,8 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
     plugins = discover()
     transcript = Transcript.read(path, whole=False)
     request = _repeat_options(request, transcript)
-    configuration = _load_configuration(request, plugins)
-    ring = _choose_ring(request, configuration.station.reference_ring)
+    configuration = load_configuration(request, plugins)
+    ring = choose_ring(request, configuration.station.reference_ring)
     clock = VirtualClock()
     replay = Replay(transcript, configuration.station, clock, break_in=_end_check)
     with stoppable():
@@ -245,14 +202,6 @@ def _repeat_options(request: CheckRequest, transcript: Transcript) -> CheckReque
         raise RefusedError(f"{transcript.name}: its ring is {ring!r}", remedy="take the file as recorded") from error
 
 
-def _refuse_both(request: CheckRequest, ring: ReferenceRing | None, simulated: bool) -> None:
-    if request.golden and ring is not None and request.ring_connected and not simulated:
-        raise RefusedError(
-            "the reference ring and a golden sensor cannot both be connected",
-            remedy="leave out --ring-connected and be asked for each, or check the golden sensor with --no-ring",
-        )
-
-
 def _compose_check(
     name: str,
     request: CheckRequest,
@@ -273,37 +222,6 @@ def _compose_check(
         results=tuple(findings.lines),
         golden_run=None if golden is None else golden.run,
     )
-
-
-def _load_configuration(request: CheckRequest, plugins: Plugins) -> Configuration:
-    validate_operator(request.operator)
-    if request.golden is not None:
-        validate_serial(request.golden)
-    return configure(
-        request.station,
-        GOLDEN_RECIPE,
-        sensor_type=request.sensor_type,
-        material=request.material,
-        seed=request.seed,
-        plugins=plugins,
-        unfinished=request.golden is None,
-    )
-
-
-def _choose_ring(request: CheckRequest, stated: ReferenceRing | None) -> ReferenceRing | None:
-    """Return the station file's ring, with the resistance of the command line if given."""
-    ohm = request.ring_ohm
-    if not request.ring:
-        if ohm is not None:
-            raise RefusedError("--ring-ohm is given beside --no-ring", remedy="leave one of them out")
-        return None
-    if ohm is None:
-        return stated
-    if not _OHM[0] <= ohm <= _OHM[1]:
-        raise RefusedError(f"--ring-ohm is {ohm:g}", remedy=f"a resistor has {_OHM[0]:g} to {_OHM[1]:g} ohm")
-    if stated is not None:
-        return replace(stated, resistance_ohm=(ohm,))
-    return ReferenceRing((ohm,), frames=_RING_FRAMES, **_RING_LIMITS)
 
 
 def _ask_confirmation(ask: Callable[[str], str], words: str) -> bool:
@@ -330,67 +248,6 @@ def _check_backlog(store: Repository, station: Station) -> list[CheckResult]:
             "central database",
         )
     ]
-
-
-def _subject(serial: str) -> str:
-    return f"golden sensor {serial}"
-
-
-def _describe_placing(serial: str) -> str:
-    return f"Put golden sensor {serial} on the station"
-
-
-def _may_press(serial: str, findings: BenchFindings, confirm: Confirm) -> bool:
-    """Whether the golden sensor may be run; a line says why not."""
-    reason = ""
-    if any(line.outcome is CheckOutcome.FAILED and line.name in _NEEDED for line in findings.lines):
-        reason = "the bench is not whole"
-    elif confirm is not None and not confirm(_describe_placing(serial)):
-        reason = "the operator did not put it on the station"
-    if reason:
-        findings.lines.append(CheckResult("run", CheckOutcome.NOT_DONE, said=reason, subject=_subject(serial)))
-    return not reason
-
-
-def _run_golden(
-    request: CheckRequest,
-    serial: str,
-    findings: BenchFindings,
-    store: Repository,
-    console: RunConsole,
-) -> RunIdentity | None:
-    """Run the golden sensor and add a line for each of its values; return the run, or None if not started."""
-    subject = _subject(serial)
-
-    def line(outcome: CheckOutcome, said: str, remedy: str = "") -> None:
-        findings.lines.append(CheckResult("run", outcome, said=said, remedy=remedy, subject=subject))
-
-    run_request = RunRequest(
-        station=request.station,
-        recipe=GOLDEN_RECIPE,
-        serial=serial,
-        operator=request.operator,
-        sensor_type=request.sensor_type,
-        material=request.material,
-        database=request.database,
-        golden=True,
-    )
-    try:
-        outcome = run_sensor(run_request, console)
-    except StoppedError:
-        raise
-    except CbsrError as error:
-        line(CheckOutcome.FAILED, error.reason, error.remedy)
-        return None
-    record, identity = outcome.result.record, outcome.result.record.identity
-    if record.end is not EndReason.FINISHED:
-        line(CheckOutcome.FAILED, f"{identity.words} was {record.end}: {record.end_detail}", "measure it again")
-        return identity
-    line(CheckOutcome.OK, f"{identity.words}, {record.station_s / 60:.1f} min of station time")
-    history = golden_history(store, outcome.run)
-    measured = outcome.result.measurements
-    findings.lines += compare_golden(measured, history, station=identity.station, subject=subject)
-    return identity
 
 
 def _write_page(outcome: CommandOutcome[CheckedStation], path: Path) -> CommandOutcome[CheckedStation]:

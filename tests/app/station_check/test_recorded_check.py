@@ -12,7 +12,8 @@ from simulated_setting import context
 
 from cbsr_qa.analysis.ring import RING
 from cbsr_qa.app.station_check import bench
-from cbsr_qa.app.station_check.check import CheckRequest, check_station, replay_check
+from cbsr_qa.app.station_check.check import check_station, replay_check
+from cbsr_qa.app.station_check.request import CheckRequest
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.domain.errors import AbortedError, RefusedError
 from cbsr_qa.domain.run.station import CheckOutcome

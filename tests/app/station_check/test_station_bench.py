@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 from calibration_samples import INDENTER, LOAD_CELL
 
-from cbsr_qa.app.station_check.bench import look_at_bench, with_ring
+from cbsr_qa.app.station_check.bench import look_at_bench
+from cbsr_qa.app.station_check.ring import with_ring
 from cbsr_qa.domain.errors import AbortedError, ConfigError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.gate import GateCheck, GatePolicy, GateSettings
 from cbsr_qa.domain.plan.plan import InstrumentSpec, ReferenceRing
