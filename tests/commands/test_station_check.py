@@ -269,7 +269,7 @@ def test_on_a_real_bench_what_must_be_connected_is_asked_for_before_contacts_are
 
     monkeypatch.setattr(station_check, "look_at_bench", looked)
     monkeypatch.setattr(station_check, "simulates_frames", lambda station: False)
-    monkeypatch.setattr(station_check, "_run_golden", lambda *arguments: told.append("golden run"))
+    monkeypatch.setattr(station_check, "run_golden", lambda *arguments: told.append("golden run"))
     monkeypatch.setattr(station_check, "_compose_check", lambda *arguments: CHECK)
     asked = CheckRequest("simulated", golden="G-1", ring_ohm=1e4 if ring else None)
 
