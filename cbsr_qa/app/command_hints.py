@@ -4,12 +4,17 @@ import shlex
 import sys
 
 from cbsr_qa.config.paths import database_url
+from cbsr_qa.store.damage import address
+from cbsr_qa.store.engine import parse_url, sqlite_file
 from cbsr_qa.store.repository import Repository
 
 
 def database_option(database: str | None) -> str:
-    """Return the option that names a database, with a leading blank; empty if none was named."""
-    return f" --database {shlex.quote(database)}" if database else ""
+    """Return the option that names a database, a password in it hidden, after a blank; empty if none was named."""
+    if not database:
+        return ""
+    url = parse_url(database_url(database))
+    return f" --database {shlex.quote(database if sqlite_file(url) else address(url))}"
 
 
 def resume_command(run: str, store: Repository) -> str:

@@ -3,9 +3,9 @@
 import hashlib
 import json
 import os
-import shlex
 import sys
 import tempfile
+from collections.abc import Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Final
@@ -17,7 +17,8 @@ from cbsr_qa.system.json_text import parse_json
 
 #: Below the computer's directory for temporary files, so that programs of all its users meet there.
 _FOLDER: Final = "cbsr-qa-locks"
-_MAX_COMMAND_LENGTH: Final = 160
+_PROGRAM: Final = "cbsr-qa"
+_MAX_COMMAND_LENGTH: Final = 40
 
 
 class AddressLock:
@@ -34,13 +35,13 @@ class AddressLock:
 
     def __init__(self, role: str, address: str, *, device: str = "") -> None:
         path = lock_path(device or address)
-        command = shlex.join([Path(sys.argv[0]).name, *sys.argv[1:]])[:_MAX_COMMAND_LENGTH]
         since = RealClock().wall().isoformat(timespec="seconds")
-        own_name = {"pid": os.getpid(), "command": command, "role": role, "since": since}
+        own_name = {"pid": os.getpid(), "command": _name_command(sys.argv), "role": role, "since": since}
         try:
             with suppress(FileExistsError):
                 path.parent.mkdir()
                 path.parent.chmod(0o1777)
+            # Every user's program may read who holds it, and take over the file of one that was killed.
             self._lock = FileLock(path, json.dumps(own_name).encode(), shared=True)
         except HeldError as error:
             by = _holder(error.who)
@@ -60,6 +61,13 @@ def lock_path(address: str) -> Path:
     """File that is locked for an address."""
     resolved = str(Path(address).resolve()) if address.startswith("/") else address.strip().upper()
     return Path(tempfile.gettempdir()) / _FOLDER / hashlib.sha256(resolved.encode()).hexdigest()[:32]
+
+
+def _name_command(words: Sequence[str]) -> str:
+    """Name a program and its command alone: every user reads this, and what follows may be a password."""
+    program, command = [Path(words[0]).name, *words[1:], ""][:2]
+    is_command = program == _PROGRAM and not command.startswith("-")
+    return f"{program} {command if is_command else ''}".strip()[:_MAX_COMMAND_LENGTH]
 
 
 def _holder(text: bytes) -> str:

@@ -16,6 +16,7 @@ ADDRESS = "TCPIP::192.0.2.7::5025::SOCKET"
 HOLD = f"""
 import sys
 from cbsr_qa.plugin.links.locks import AddressLock
+sys.argv[0] = "/usr/bin/cbsr-qa"
 lock = AddressLock("source_meter", {ADDRESS!r})
 print("held", flush=True)
 sys.stdin.read()
@@ -33,7 +34,16 @@ def own_folder(tmp_path, monkeypatch):
 @pytest.fixture
 def second_program():
     with subprocess.Popen(
-        [sys.executable, "-c", HOLD, "run", "--station", "night"],
+        [
+            sys.executable,
+            "-c",
+            HOLD,
+            "stream",
+            "-o",
+            "password=hunter2",
+            "--database",
+            "postgresql://lab:hunter2@host",
+        ],
         stdin=subprocess.PIPE,
         stdout=subprocess.PIPE,
         text=True,
@@ -48,9 +58,27 @@ def test_a_second_program_is_refused_by_name(second_program):
         AddressLock("meter", ADDRESS)
     said = str(refused.value)
     assert said.startswith(f"meter at {ADDRESS}: it is in use by process {second_program.pid} ")
-    assert "run --station night" in said
-    assert "as source_meter since 20" in said
+    assert " (cbsr-qa stream) as source_meter since 20" in said
     assert not refused.value.retryable
+
+
+@pytest.mark.parametrize(
+    ("words", "named"),
+    [
+        (["/usr/bin/cbsr-qa", "stream", "--password", "hunter2"], "cbsr-qa stream"),
+        (["cbsr-qa", "--password=hunter2", "stream"], "cbsr-qa"),
+        (["/home/lab/bench.py", "hunter2"], "bench.py"),
+        (["cbsr-qa"], "cbsr-qa"),
+        ([""], ""),
+    ],
+)
+def test_the_file_that_every_user_reads_holds_no_argument_of_the_command(tmp_path, monkeypatch, words, named):
+    monkeypatch.setattr(locks.sys, "argv", words)
+    lock = AddressLock("meter", ADDRESS)
+    said = locks.lock_path(ADDRESS).read_text()
+    lock.release()
+    assert json.loads(said)["command"] == named
+    assert "hunter2" not in said
 
 
 def test_a_program_that_was_killed_keeps_nobody_out(second_program):
