@@ -9,7 +9,7 @@ from typing import Any, Final
 
 from cbsr_qa.domain.errors import AbortedError, CbsrError, InstrumentError, RefusedError
 from cbsr_qa.domain.plan.plan import Station
-from cbsr_qa.plugin.links.taps import count_begun, hide, is_timeout, list_secrets
+from cbsr_qa.plugin.links.taps import count_begun, find_unhidable, hide, is_timeout, list_secrets
 from cbsr_qa.plugin.links.transcript import (
     NO_RING,
     NOT_OPENED,
@@ -60,10 +60,10 @@ class Listener:
             self._received[role] = hide(self._received.get(role, b"") + data, self._hidden)[-_REMEMBERED:]
 
     def describe_last(self, role: str) -> str:
-        """Say what was sent last and what came then; empty if nothing was sent."""
+        """Say what was sent last and what came then; empty if neither."""
+        received = self._received.get(role, b"")[-_SHOWN:]
         if role not in self._sent:
-            return ""
-        received = self._received[role][-_SHOWN:]
+            return f"received {quote(received)}, unasked" if received else ""
         return f"sent {quote(self._sent[role])}, received {quote(received) if received else 'nothing'}"
 
     def end_early(self, error: BaseException) -> None:
@@ -84,11 +84,16 @@ class Recorder(Listener):
     Raises
     ------
     RefusedError
-        If the file exists, or cannot be written.
+        If the file exists, or cannot be written; or if a secret is too short to be hidden.
     """
 
     def __init__(self, path: Path, station: Station, clock: Clock, options: Mapping[str, str] | None = None) -> None:
         super().__init__(station)
+        if option := find_unhidable(station):
+            raise RefusedError(
+                f"{option} is too short or too plain to be hidden in a transcript: other words and numbers hold it",
+                remedy="give the instrument one of six or more different characters, or check it without recording",
+            )
         self._clock = clock
         self._writing = threading.Lock()
         self._digest = hashlib.sha256()
@@ -100,8 +105,9 @@ class Recorder(Listener):
         #: Whether the check ended before it was over.
         self.ended_early = False
         self._count = 0
-        #: Sign and bytes of what may be the beginning of a secret, which may come octet by octet.
-        self._begun: dict[str, tuple[str, bytes]] = {}
+        #: Sign and pieces of what may be the beginning of a secret, which may come octet by octet.
+        self._begun: dict[str, tuple[str, list[bytes]]] = {}
+        self._own = {spec.role: list_secrets(station, spec.role) for spec in station.instruments}
         #: Events written of each instrument.
         self.events_by_role = dict.fromkeys((spec.role for spec in station.instruments), 0)
         with writing(path):
@@ -132,12 +138,20 @@ class Recorder(Listener):
         with self._writing:
             super().note(role, sign, data)
             if role in self._begun and self._begun[role][0] != sign:
-                self._write_event(role, *self._begun.pop(role))
-            shown = hide(self._begun.pop(role, (sign, b""))[1] + data, self._hidden)
-            if begun := count_begun(shown, self._hidden):
-                self._begun[role], shown = (sign, shown[-begun:]), shown[:-begun]
-            if shown:
-                self._write_event(role, sign, shown)
+                self._write_begun(role)
+            pieces = [*self._begun.pop(role, (sign, []))[1], hide(data, self._hidden)]
+            said = b"".join(pieces)
+            shown = hide(said, self._hidden)
+            begun = 0 if sign == "!" else count_begun(shown, self._own.get(role, ()))
+            if sign != ">" or shown != said:  # what was sent is compared one by one in a replay; the rest is a stream
+                pieces = [shown[: len(shown) - begun], shown[len(shown) - begun :]]
+            held: list[bytes] = []
+            while sum(map(len, held)) < begun:
+                held.insert(0, pieces.pop())
+            if held:
+                self._begun[role] = sign, held
+            for piece in filter(None, pieces):
+                self._write_event(role, sign, piece)
 
     def end_early(self, error: BaseException) -> None:
         """Write that the check ends here; once."""
@@ -155,13 +169,18 @@ class Recorder(Listener):
     def close(self) -> None:
         """Write the last line."""
         with self._writing:
-            for role, (sign, data) in self._begun.items():
-                self._write_event(role, sign, data)
+            for role in list(self._begun):
+                self._write_begun(role)
             self._write_line(end_line(self._count, self._digest.hexdigest()))
             with suppress(OSError):  # what cannot be written is noted already
                 self._file.close()
             if not self.has_links:
                 self.path.unlink()
+
+    def _write_begun(self, role: str) -> None:
+        sign, pieces = self._begun.pop(role)
+        for piece in pieces:
+            self._write_event(role, sign, piece)
 
     def _write_event(self, role: str, sign: str, data: bytes) -> None:
         line = Event(self._clock.now(), role, sign, data).format()

@@ -1,13 +1,18 @@
 """What listens to the links of a process, or answers in place of the instruments, while a command works."""
 
+import base64
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from typing import Any, Final, Protocol
 
 from cbsr_qa.domain.plan.plan import Station
 
-#: Options of instruments whose values are not written.
-_SECRET: Final = ("password", "passphrase", "secret", "token")
+#: Options of instruments with one of these in their name are not written, nor what is in a table of such a name.
+_SECRET: Final = ("password", "passwd", "passphrase", "pwd", "secret", "token", "credential")
+#: ... nor these, nor those that end in ``key``: a ``reset_pin`` is a wire.
+_SECRET_NAMES: Final = ("pin", "pass")
+#: Shorter ones, or of fewer different characters, occur in other words and numbers.
+_SHORTEST, _FEWEST = 6, 3
 _HIDDEN: Final = b"***"
 
 
@@ -22,7 +27,7 @@ class Tap(Protocol):
         ...
 
     def describe_last(self, role: str) -> str:
-        """Say what was sent last to an instrument, and what came then; empty if nothing was sent."""
+        """Say what was sent last to an instrument, and what came then; empty if neither."""
         ...
 
 
@@ -79,13 +84,42 @@ def count_begun(data: bytes, secrets: Sequence[bytes]) -> int:
     return max(begun, default=0)
 
 
-def list_secrets(station: Station) -> list[bytes]:
-    """Values of the instruments' options that are named like secrets, the longest first."""
-    options: list[Mapping[str, Any]] = [spec.options for spec in station.instruments]
-    found = {
-        str(value).encode()
-        for table in options
-        for key, value in table.items()
-        if value and any(word in key.lower() for word in _SECRET)
-    }
+def list_secrets(station: Station, role: str | None = None) -> list[bytes]:
+    """Values of options that are named like secrets, also in base64, the longest first; of one instrument or all."""
+    specs = [spec for spec in station.instruments if role in (None, spec.role)]
+    texts = {text.encode() for spec in specs for _, text in _find_secrets(spec.role, spec.options, is_secret=False)}
+    found = texts | {code for text in texts if len(text) >= _SHORTEST for code in _encode(text)}
     return sorted(found, key=lambda secret: (-len(secret), secret))
+
+
+def find_unhidable(station: Station) -> str:
+    """Return the first option whose value cannot be hidden without damage to other words; empty if none."""
+    tables = {spec.role: spec.options for spec in station.instruments}
+    for name, text in _find_secrets("instruments", tables, is_secret=False):
+        if len(text) < _SHORTEST or len(set(text)) < _FEWEST:
+            return name
+    return ""
+
+
+def _find_secrets(name: str, value: Any, *, is_secret: bool) -> Iterator[tuple[str, str]]:
+    """Yield name and text of each secret in an option, which may be a table or a list."""
+    if isinstance(value, Mapping):
+        for key, inner in value.items():
+            yield from _find_secrets(f"{name}.{key}", inner, is_secret=is_secret or _names_secret(key.lower()))
+    elif isinstance(value, list | tuple):
+        for inner in value:
+            yield from _find_secrets(name, inner, is_secret=is_secret)
+    elif is_secret and value and not isinstance(value, bool):
+        yield name, str(value)
+
+
+def _names_secret(key: str) -> bool:
+    return key in _SECRET_NAMES or key.endswith(("key", "keys")) or any(word in key for word in _SECRET)
+
+
+def _encode(secret: bytes) -> Iterator[bytes]:
+    """Yield what base64 makes of a secret, whatever stands before it: of "user:password", say."""
+    for before in range(3):
+        first, last = -(-8 * before // 6), 8 * (before + len(secret)) // 6  # characters of the secret's bits alone
+        data = bytes(before) + secret
+        yield from {code(data)[first:last] for code in (base64.b64encode, base64.urlsafe_b64encode)} - {b""}

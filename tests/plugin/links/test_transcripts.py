@@ -1,5 +1,6 @@
 """Transcripts of links: written and read without loss, replayed byte for byte, and refused if they are not whole."""
 
+import base64
 import errno
 import gzip
 import random
@@ -25,6 +26,10 @@ def station():
     shipped = configure("simulated", "golden-check", sensor_type=None, material=None, seed=3).station
     cell = InstrumentSpec("load_cell", "serial-load-cell", ("force",), {"token": "hunter2"}, None)
     return replace(shipped, instruments=(cell,))
+
+
+def with_options(station, **options):
+    return replace(station, instruments=(replace(station.instruments[0], options=options),))
 
 
 class Wire:
@@ -310,6 +315,70 @@ def test_a_secret_that_passes_octet_by_octet_is_not_written_and_nothing_else_is_
     events = Transcript.read(tmp_path / "t.txt").events
     assert b"".join(event.data for event in events if event.sign == sign) == b"hush, *** hunts; hunte"
     assert b"".join(event.data for event in events if event.sign == "-") == b"hunt"
+
+
+@pytest.mark.parametrize(
+    "options",
+    [
+        *({name: "hunter2"} for name in ("passwd", "pwd", "PIN", "pass", "api_key", "apikey", "credential")),
+        {"auth": {"user": "lab", "password": "hunter2"}},
+        {"credentials": {"code": "hunter2"}},
+        {"passwords": ["another", "hunter2"]},
+        {"logins": [{"secret": "hunter2"}]},
+    ],
+)
+def test_secrets_are_not_written_however_they_are_named_nested_or_encoded(station, tmp_path, options):
+    recorder = Recorder(tmp_path / "t.txt", with_options(station, **options), VirtualClock())
+    recorder.connect("load_cell", Wire)
+    said = [b"hunter2", *(base64.b64encode(before + b"hunter2") for before in (b"", b"a:", b"ab:", b"lab:"))]
+    for words in said:
+        recorder.note("load_cell", ">", b"Authorization " + words + b"\n")
+    recorder.close()
+    written = b"".join(event.data for event in Transcript.read(tmp_path / "t.txt").events)
+    assert b"Authorization ***\n" in written
+    assert written.count(b"***") == len(said)
+    for words in said:
+        assert words.rstrip(b"=") not in written
+        assert words.rstrip(b"=")[6:12] not in written
+
+
+@pytest.mark.parametrize("secret", ["0000", 4821, "200000", "pw"])
+def test_a_secret_that_numbers_hold_too_is_refused_by_its_option_and_not_repeated(station, tmp_path, secret):
+    with pytest.raises(RefusedError, match=r"instruments\.load_cell\.auth\.pin is too short") as refused:
+        Recorder(tmp_path / "t.txt", with_options(station, auth={"pin": secret}), VirtualClock())
+    assert str(secret) not in str(refused.value)
+    assert not (tmp_path / "t.txt").exists()
+
+
+def test_a_wire_or_a_switch_is_no_secret(station, tmp_path):
+    options = {"reset_pin": 16, "pins": [1, 2], "password_needed": True, "token": ""}
+    recorder = Recorder(tmp_path / "t.txt", with_options(station, **options), VirtualClock())
+    recorder.connect("load_cell", Wire)
+    recorder.note("load_cell", ">", b"16 12 True\n")
+    recorder.close()
+    assert Transcript.read(tmp_path / "t.txt").events[0].data == b"16 12 True\n"
+
+
+def test_what_ends_as_a_secret_begins_is_replayed_as_it_was_sent(station, tmp_path):
+    said = [b"path", b"h", b"x\n", b"hunt", b"hush, hunter2", b"path"]
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    link = recorder.connect("load_cell", Wire)
+    for words in said:
+        link.write(words)
+    recorder.close()
+    transcript = Transcript.read(tmp_path / "t.txt")
+    assert [event.data for event in transcript.events] == [*said[:4], b"hush, ***", b"path"]
+    again = Replay(transcript, station, VirtualClock()).connect("load_cell", Wire)
+    for words in said:
+        again.write(words)
+
+
+def test_what_came_from_an_instrument_that_was_asked_nothing_is_said(station, tmp_path):
+    recorder = Recorder(tmp_path / "t.txt", station, VirtualClock())
+    assert recorder.describe_last("load_cell") == ""
+    recorder.note("load_cell", "<", b"\xf8\x80x")
+    recorder.close()
+    assert recorder.describe_last("load_cell") == r"received '\xf8\x80x', unasked"
 
 
 def test_a_full_disk_is_no_failure_of_an_instrument_and_the_file_is_known_not_to_be_whole(station, tmp_path):
