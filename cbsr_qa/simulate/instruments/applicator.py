@@ -79,11 +79,14 @@ _BANNER: Final = {
 _FIRMWARE: Final = {
     "prusa": (
         "FIRMWARE_NAME:Prusa-Firmware 3.13.3 based on Marlin FIRMWARE_URL:https://github.com/prusa3d/Prusa-Firmware "
-        "PROTOCOL_VERSION:1.0 MACHINE_TYPE:Prusa i3 MK3S EXTRUDER_COUNT:1 UUID:00000000-0000-0000-0000-000000000000"
+        "PROTOCOL_VERSION:1.0 MACHINE_TYPE:Prusa i3 MK3S EXTRUDER_COUNT:1 UUID:00000000-0000-0000-0000-000000000000\n"
+        "Cap:AUTOREPORT_TEMP:1\nCap:AUTOREPORT_FANS:1\nCap:AUTOREPORT_POSITION:1\nCap:EXTENDED_M20:1\n"
     ),
     "marlin": (
         "FIRMWARE_NAME:Marlin 2.1.2.4 SOURCE_CODE_URL:github.com/MarlinFirmware/Marlin PROTOCOL_VERSION:1.0 "
-        "MACHINE_TYPE:3D Printer EXTRUDER_COUNT:1 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff"
+        "MACHINE_TYPE:3D Printer EXTRUDER_COUNT:1 UUID:cede2a2f-41a2-4748-9b12-c55c62f367ff\n"
+        "Cap:SERIAL_XON_XOFF:0\nCap:EEPROM:1\nCap:AUTOREPORT_POS:0\nCap:EMERGENCY_PARSER:1\n"
+        "area:{full:{min:{x:0.0000,y:0.0000,z:0.0000},max:{x:220.0000,y:220.0000,z:250.0000}}}\n"
     ),
 }
 
@@ -243,7 +246,7 @@ class EmulatedApplicator:
         return f"X:{x:.2f} Y:{y:.2f} Z:{z:.2f} E:0.00 {count}\n"
 
     def _m115(self, parameters: Parameters) -> str:
-        return f"{_FIRMWARE[self._firmware]}\n"
+        return _FIRMWARE[self._firmware]
 
     def _m400(self, parameters: Parameters) -> str:
         self._wait_until(self._head.free_at_s)

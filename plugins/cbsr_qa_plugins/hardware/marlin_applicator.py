@@ -137,13 +137,15 @@ class MarlinApplicator(HeadDriver):
     # --- instrument ---
 
     def identity(self) -> InstrumentIdentity:
-        answer = " ".join(self._marlin.query("M115"))
-        names = dict(re.findall(r"([A-Z_]+):(.*?)(?=\s+[A-Z_]+:|$)", answer))
+        lines = self._marlin.query("M115")
+        # Abilities of the firmware ("Cap:…", "area:…") follow on lines of their own: they change with an update.
+        stated = [line for line in lines if re.match(r"[A-Z_]+:", line)]
+        names = dict(found for line in stated for found in re.findall(r"([A-Z_]+):(.*?)(?=\s+[A-Z_]+:|$)", line))
         name = names.get("FIRMWARE_NAME", "")
         firmware = "prusa" if "prusa" in name.lower() else "marlin" if "marlin" in name.lower() else ""
         if firmware != self._options.firmware:
             raise self._error(
-                f"firmware {name or answer[:60]!r} was found; {self._options.firmware!r} was expected",
+                f"firmware {name or ' '.join(lines)[:60]!r} was found; {self._options.firmware!r} was expected",
                 "check its address, and 'firmware' in its table: it gives the unit of reported positions",
             )
         return self._build_identity(names.get("MACHINE_TYPE", ""), names.get("UUID", ""), name)
