@@ -5,10 +5,10 @@ import json
 import os
 import sys
 import tempfile
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import Final
+from typing import Any, Final
 
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.system.clock import RealClock
@@ -44,10 +44,12 @@ class AddressLock:
             # Every user's program may read who holds it, and take over the file of one that was killed.
             self._lock = FileLock(path, json.dumps(own_name).encode(), shared=True)
         except HeldError as error:
-            by = _holder(error.who)
-            raise InstrumentError(
-                role, address, f"it is in use by {by}", remedy="end that program, or wait for it"
-            ) from error
+            who = _read_holder(error.who)
+            reason, remedy = f"it is in use by {_describe_holder(who)}", "end that program, or wait for it"
+            if who.get("pid") == os.getpid():
+                reason = f"{who['role']!r} of this program has the same address"
+                remedy = "give each instrument an address of its own"
+            raise InstrumentError(role, address, reason, remedy=remedy) from error
         except OSError as error:
             reason = f"it cannot be locked against a second program: {error}"
             raise InstrumentError(role, address, reason, remedy=f"let this user write in {path.parent}") from error
@@ -70,14 +72,18 @@ def _name_command(words: Sequence[str]) -> str:
     return f"{program} {command if is_command else ''}".strip()[:_MAX_COMMAND_LENGTH]
 
 
-def _holder(text: bytes) -> str:
-    """Describe the holder of a lock, which may not have written its name yet."""
+def _read_holder(text: bytes) -> dict[str, Any]:
+    """Read what names the holder of a lock; empty if it has not written its name yet."""
     try:
         who = parse_json(text)
     except ValueError:
-        return "another program"
+        return {}
     kinds = {"pid": int, "command": str, "role": str, "since": str}
-    if not isinstance(who, dict) or {key: type(value) for key, value in who.items()} != kinds:
+    is_named = isinstance(who, dict) and {key: type(value) for key, value in who.items()} == kinds
+    return who if is_named and "".join(map(str, who.values())).isprintable() else {}
+
+
+def _describe_holder(who: Mapping[str, Any]) -> str:
+    if not who:
         return "another program"
-    words = f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"
-    return words if words.isprintable() else "another program"
+    return f"process {who['pid']} ({who['command']}) as {who['role']} since {who['since']}"

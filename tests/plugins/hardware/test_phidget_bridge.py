@@ -256,7 +256,7 @@ def test_another_refusal_is_passed_on(make, monkeypatch):
 
 def test_a_second_cell_on_one_input_is_refused(make):
     make()
-    with pytest.raises(InstrumentError, match="in use by process"):
+    with pytest.raises(InstrumentError, match="of this program has the same address"):
         make()
 
 
