@@ -12,6 +12,7 @@ from serial.tools import list_ports
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links.locks import AddressLock
 from cbsr_qa.plugin.links.taps import current_tap
+from cbsr_qa.plugin.links.transcript import quote
 from cbsr_qa.system.clock import RealClock
 
 _USB: Final = "usb:"
@@ -21,6 +22,8 @@ _SLICE_S: Final = 0.02
 _WRITE_S: Final = 3.0
 #: No instrument of a bench sends longer lines; what does is not the instrument that was expected.
 _MAX_LINE_BYTES: Final = 4096
+#: Bytes without a line end of which the last are quoted.
+_QUOTED: Final = 12
 
 
 class SerialLink:
@@ -74,7 +77,7 @@ class SerialLink:
             with self._reading:
                 if len(self._held) >= count:
                     return self._take(count)
-        reason = f"answered {len(self._held)} of {count} bytes within {allowed_s:g} s"
+        reason = f"answered {len(self._held)} of {count} bytes within {allowed_s:.3g} s"
         raise self.error(reason, remedy=_SILENT, retryable=True)
 
     def read_line(self, timeout_s: float | None = None) -> bytes:
@@ -89,10 +92,16 @@ class SerialLink:
                 if end >= 0:
                     return self._take(end + 1).rstrip(b"\r\n")
                 if len(self._held) > _MAX_LINE_BYTES:
-                    self._held.clear()
-                    raise self.error(f"sent more than {_MAX_LINE_BYTES} bytes without a line end", remedy=_BAUD)
-        received = f"{len(self._held)} bytes without a line end" if self._held else "nothing"
-        raise self.error(f"answered {received} within {allowed_s:g} s", remedy=_SILENT, retryable=True)
+                    came = describe_unended(self._take(len(self._held)))
+                    raise self.error(f"sent {came}", remedy=_BAUD)
+        came, remedy = (describe_unended(self.unended), _BAUD) if self._held else ("nothing", _SILENT)
+        raise self.error(f"answered {came} within {allowed_s:.3g} s", remedy=remedy, retryable=True)
+
+    @property
+    def unended(self) -> bytes:
+        """What came and belongs to no whole line or answer yet; it stays there."""
+        with self._reading:
+            return bytes(self._held)
 
     def read_available(self) -> bytes:
         """Return what has come, without waiting; may be nothing."""
@@ -163,19 +172,21 @@ class SerialLink:
         if not self.address.lower().startswith(_USB):
             return self.address
         vid, pid, number = _usb_identity(self.role, self.address)
-        devices = [
-            port.device
+        found = [
+            port
             for port in list_ports.comports()
             if (port.vid, port.pid) == (vid, pid) and number in (None, port.serial_number)
         ]
-        if len(devices) == 1:
-            return str(devices[0])
-        if not devices:
+        if len(found) == 1:
+            return str(found[0].device)
+        if not found:
             raise self.error("no such device is plugged in", remedy=_ports())
-        raise self.error(
-            f"{len(devices)} such devices are plugged in ({', '.join(sorted(devices))})",
-            remedy="say which by its serial number: usb:VID:PID:SERIAL",
-        )
+        serials = {port.serial_number for port in found} - {None, ""}
+        remedy = "say which by its serial number: usb:VID:PID:SERIAL"
+        if len(serials) < len(found):
+            remedy = "their serial numbers do not tell them apart: give the port's path, /dev/serial/by-path/…"
+        devices = ", ".join(sorted(port.device for port in found))
+        raise self.error(f"{len(found)} such devices are plugged in ({devices})", remedy=remedy)
 
     def _opening_error(self, path: str, error: Exception) -> InstrumentError:
         number = getattr(error, "errno", None)
@@ -210,8 +221,15 @@ class SerialLink:
 
 
 _SILENT: Final = "check that it is switched on, and its baud rate"
-_BAUD: Final = "check the address and the baud rate"
+_BAUD: Final = "check the address, the baud rate, and which line end it sends"
 _CABLE: Final = "check the cable and the power of the instrument"
+
+
+def describe_unended(data: bytes) -> str:
+    r"""Count the bytes of a line that does not end, and quote the last; lines that end in ``\r`` alone are named."""
+    is_text = all(32 <= byte < 127 or byte in b"\r\t" for byte in data)
+    kind = "whose lines end in \\r, not in \\n" if is_text and b"\r" in data else "without a line end"
+    return f"{len(data)} bytes {kind}, the last {quote(data[-_QUOTED:])}"
 
 
 def _usb_identity(role: str, address: str) -> tuple[int, int, str | None]:

@@ -14,6 +14,7 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import InstrumentError, SerialLink
+from cbsr_qa.plugin.links.serial_link import describe_unended
 from cbsr_qa.system.clock import TICK_S, Clock, RealClock
 
 #: Samples are fetched every few seconds; an hour covers any pause between two steps [s].
@@ -115,6 +116,7 @@ def _follows(line: tuple[float, float], before: tuple[float, float]) -> bool:
 _VALUE: Final = r"\s*([+-]?(?:\d+\.?\d*|\.\d+)(?:[eE][+-]?\d+)?)\s*"
 _PLAIN: Final = re.compile(rf"^{_VALUE}$")
 _TIMED: Final = re.compile(rf"^\s*(\d+)\s*,{_VALUE}$")
+_SETTINGS: Final = "its baud rate, and 'time' in its table"
 #: So many lines after each other that cannot be read are another instrument, or another baud rate.
 _UNREADABLE: Final = 20
 #: An instrument that has sent nothing for so many periods, and a second, has fallen silent.
@@ -177,7 +179,7 @@ class LineSampler:
                 raise self._link.error(
                     f"{self._unread} lines after each other could not be read, the last is {self._example!r};"
                     f" {self._line_format()} was expected",
-                    "check its address, its baud rate, and 'time' in its table",
+                    f"check its address, {_SETTINGS}",
                 )
         return self._log.read_since(time_s)
 
@@ -190,10 +192,13 @@ class LineSampler:
         until_s = self._clock.now() + allowed_s
         while not len(self.samples_since(-np.inf)[0]):
             if self._clock.now() >= until_s:
-                received = f"{self._example!r}" if self._example else "nothing"
+                found, remedy = "nothing", f"check that it is switched on, its address, {_SETTINGS}"
+                if self._example:
+                    found = repr(self._example)
+                elif unended := self._partial + self._link.unended:
+                    found, remedy = describe_unended(unended), f"check its address, {_SETTINGS}, and its line end"
                 raise self._link.error(
-                    f"{received} was found within {allowed_s:g} s; {self._line_format()} was expected",
-                    "check that it is switched on, its address, its baud rate, and 'time' in its table",
+                    f"{found} was found within {allowed_s:g} s; {self._line_format()} was expected", remedy
                 )
             self._clock.sleep(self._period_s)
 
@@ -201,8 +206,11 @@ class LineSampler:
         """Raise InstrumentError if it has fallen silent."""
         times, _ = self.samples_since(self._clock.now() - self._silent_s())
         if not len(times) and self._clock.now() - self._began_s > self._silent_s():
+            unended = self._partial + self._link.unended
             raise self._link.error(
-                f"it has sent nothing that can be read for {self._silent_s():.3g} s", "check its power and its cable"
+                f"it has sent nothing that can be read for {self._silent_s():.3g} s"
+                + (f", but {describe_unended(unended)}" if unended else ""),
+                "check its power, its cable and its baud rate",
             )
 
     def close(self) -> None:
@@ -269,10 +277,10 @@ class LineSampler:
         text = line.decode("ascii", "replace").strip()
         match = (_TIMED if self._timed else _PLAIN).match(text)
         if match is None:
+            self._example = text[:40] or self._example
             if text and not self._fresh:
                 self.skipped += 1
                 self._unread += 1
-                self._example = text[:40]
             self._fresh = False
             return None
         # The first line that is read may be the end of a longer one: its digits would be another number.

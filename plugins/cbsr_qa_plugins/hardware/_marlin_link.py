@@ -13,6 +13,7 @@ from operator import xor
 from typing import Final
 
 from cbsr_qa.plugin import InstrumentError, SerialLink
+from cbsr_qa.plugin.links.serial_link import describe_unended
 from cbsr_qa.system.clock import RealClock
 
 #: Lines are counted from here on after a start: a printer that asks for number 1 has restarted.
@@ -129,8 +130,11 @@ class MarlinLink:
         until_s = self._time.now() + self._boot_s
         while not self._answers_token(_BOOT_QUERY_S):
             if self._time.now() > until_s:
+                unended = self._link.unended
+                said = f", and what came is {describe_unended(unended)}" if unended else ""
                 raise self._link.error(
-                    f"no Marlin printer answers within {self._boot_s:g} s", remedy=_CHECK, retryable=False
+                    f"no Marlin printer answers within {self._boot_s:g} s{said}",
+                    remedy="check its address, its baud rate, its cable and its power",
                 )
         self._exchange(self._number, f"M110 N{self._number}")
         self._lost = False

@@ -292,7 +292,7 @@ class Esp32Multiplexer(DriverBase):
         if connection is None:
             raise self._error(
                 f"asked which electrodes it connects, it says {repr(answer[-80:]) if answer else 'nothing'}",
-                remedy="a multiplexer with the command firmware is expected; check address and firmware",
+                remedy="a multiplexer with the command firmware is expected; check address, baud rate and firmware",
                 retryable=True,
             )
         self._position = self._index(connection)

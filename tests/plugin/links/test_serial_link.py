@@ -60,8 +60,24 @@ def test_silence_is_an_error_within_its_time(link):
 def test_a_line_that_never_ends_is_no_line(terminal, link):
     for _ in range(5):
         terminal.say(b"x" * 1000)
-    with pytest.raises(InstrumentError, match="without a line end"):
+    with pytest.raises(InstrumentError, match="without a line end, the last 'xxxxxxxxxxxx'"):
         link.read_line(timeout_s=1.0)
+
+
+@pytest.mark.parametrize(
+    ("came", "said"),
+    [
+        (b"\xf8\x80x\r", r"4 bytes without a line end, the last '\xf8\x80x\r'"),
+        (b"21.5\r21.6\r", r"10 bytes whose lines end in \r, not in \n, the last '21.5\r21.6\r'"),
+    ],
+)
+def test_bytes_without_a_line_end_are_quoted(terminal, link, came, said):
+    terminal.say(came)
+    with pytest.raises(InstrumentError) as caught:
+        link.read_line(timeout_s=0.3)
+    assert f"answered {said} within 0.3 s" in caught.value.reason
+    assert "baud rate" in caught.value.remedy
+    assert link.unended == came
 
 
 def test_what_has_come_is_thrown_away(terminal, link):
@@ -185,6 +201,15 @@ def test_two_devices_alike_must_be_told_apart(monkeypatch, terminal):
     with pytest.raises(InstrumentError, match=r"2 such devices are plugged in \(/dev/a, /dev/pts"):
         SerialLink("head", "usb:2C99:0002", baud=115200)
     SerialLink("head", "usb:2C99:0002:B", baud=115200).close()
+
+
+@pytest.mark.parametrize("serials", [(None, None), ("0001", "0001"), ("A", None), ("A", "0001", "0001")])
+def test_two_devices_that_no_serial_number_tells_apart_are_named_by_their_port(monkeypatch, serials):
+    plugged(monkeypatch, *((f"/dev/ttyUSB{at}", 0x1A86, 0x7523, serial) for at, serial in enumerate(serials)))
+    with pytest.raises(InstrumentError, match="such devices are plugged in") as caught:
+        SerialLink("head", "usb:1A86:7523", baud=9600)
+    assert "/dev/serial/by-path/" in caught.value.remedy
+    assert "SERIAL" not in caught.value.remedy
 
 
 @pytest.mark.parametrize("address", ["usb:printer", "usb:2C99", "usb::0002"])

@@ -8,11 +8,14 @@ import numpy as np
 import pytest
 from marlin_printer import SPEED, linked, until_it_moves
 from simulated_setting import MOTION
+from terminal import Terminal
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
 from cbsr_qa.plugin.links import serial_link
+from cbsr_qa.plugin.links.serial_link import SerialLink
 from cbsr_qa.simulate.instruments.applicator import EmulatedApplicator
 from cbsr_qa.simulate.instruments.streams import Fault, PtyPort
+from cbsr_qa_plugins.hardware._marlin_link import MarlinLink
 from cbsr_qa_plugins.hardware.marlin_applicator import open_applicator
 
 # --- faults of the line ---
@@ -247,11 +250,36 @@ def test_another_instrument_at_the_address_is_refused(make):
         station.open("applicator", open_applicator, firmware="prusa")
 
 
+@pytest.mark.parametrize(
+    ("firmware", "model", "serial"),
+    [
+        ("prusa", "Prusa i3 MK3S", "00000000-0000-0000-0000-000000000000"),
+        ("marlin", "3D Printer", "cede2a2f-41a2-4748-9b12-c55c62f367ff"),
+    ],
+)
+def test_the_serial_number_holds_no_list_of_abilities(make, firmware, model, serial):
+    station = make(firmware=firmware, steps_per_mm=[80.0, 80.0, 400.0])
+    assert "Cap:" in station.emulation.instruments["applicator"]._m115(None)
+    identity = station.open("applicator", open_applicator).identity()
+    assert (identity.model, identity.serial) == (model, serial)
+
+
 def test_nobody_at_the_address_is_said(make):
     station = make()
     station.arm("applicator", Fault.SILENCE)
     with pytest.raises(InstrumentError, match=r"no Marlin printer answers within 0\.5 s"):
         station.open("applicator", open_applicator, boot_s=0.5)
+
+
+def test_a_printer_at_another_baud_rate_is_quoted():
+    terminal = Terminal()
+    link = SerialLink("applicator", terminal.path, baud=9600, timeout_s=0.1)
+    terminal.say(b"\xf8\x80x\x00" * 3)
+    with pytest.raises(InstrumentError, match=r"answers within 0\.5 s, and what came is 12 bytes without") as caught:
+        MarlinLink(link, boot_s=0.5)
+    link.close()
+    terminal.hang_up()
+    assert "baud rate" in caught.value.remedy
 
 
 def test_a_search_below_the_sheet_is_refused_before_anything_is_opened(station):

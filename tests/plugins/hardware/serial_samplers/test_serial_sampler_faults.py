@@ -6,10 +6,14 @@ import numpy as np
 import pytest
 from line_samplers import skipped, skipped_lines, true_N
 from simulated_setting import held
+from terminal import Terminal
 
 from cbsr_qa.domain.errors import InstrumentError
 from cbsr_qa.plugin.links import serial_link
+from cbsr_qa.plugin.links.serial_link import SerialLink
 from cbsr_qa.simulate.instruments.streams import Fault
+from cbsr_qa.system.clock import RealClock, VirtualClock
+from cbsr_qa_plugins.hardware._line_sampler import LineSampler
 from cbsr_qa_plugins.hardware.serial_samplers import open_load_cell, open_thermometer
 
 # --- faults ---
@@ -128,6 +132,27 @@ def test_nobody_at_the_address_is_said(station):
     station.arm("cell", Fault.SILENCE)
     with pytest.raises(InstrumentError, match=r"cell at /dev/pts/\d+: nothing was found within 2 s; '<milliseconds>"):
         station.open("cell", open_load_cell, boot_s=2.0)
+
+
+@pytest.mark.parametrize(
+    ("came", "said"),
+    [
+        (b"\xf8\x80x\x00" * 9, r"36 bytes without a line end, the last '\\xf8\\x80x\\x00.*' was found within 2 s"),
+        (b"10,0.5\r20,0.5\r", r"14 bytes whose lines end in \\r, not in \\n, the last '.*' was found within 2 s"),
+    ],
+)
+@pytest.mark.parametrize("clock", [VirtualClock, RealClock])
+def test_bytes_at_another_baud_rate_are_quoted(came, said, clock):
+    terminal = Terminal()
+    link = SerialLink("cell", terminal.path, baud=9600)
+    terminal.say(came)
+    lines = LineSampler(link, clock(), timed=True, rate_hz=8.0, convert=float)
+    with pytest.raises(InstrumentError, match=said) as caught:
+        lines.wait_for_first(2.0)
+    lines.close()
+    terminal.hang_up()
+    assert "baud rate" in caught.value.remedy
+    assert "switched on" not in caught.value.remedy
 
 
 def test_another_instrument_at_the_address_is_said(station):
