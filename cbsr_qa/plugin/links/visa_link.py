@@ -1,6 +1,7 @@
 """A VISA resource whose every failure is an InstrumentError that names the role and the address."""
 
 import itertools
+import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
 from typing import Any, Final
@@ -23,8 +24,15 @@ _HEADER: Final = b"#0"
 _SINGLE: Final = "<f4"
 
 _SILENT: Final = "check that it is switched on and not busy, and its address"
+_SLOW: Final = f"{_SILENT}, or raise 'timeout_s' in its table"
 _CABLE: Final = "check the cable and the power of the instrument"
 _EXAMPLE: Final = 'write a VISA resource, e.g. "TCPIP::192.168.0.5::5025::SOCKET"'
+
+#: Libraries that pyvisa-py needs, by the interface that a resource names first.
+_LIBRARIES: Final = {
+    "USB": "pip install pyusb, and install the system's libusb 1.0",
+    "GPIB": "install linux-gpib and its Python module, or pip install gpib-ctypes beside the card's own driver",
+}
 
 #: Managers by backend. They are never closed: that would close the sessions of every instrument.
 _managers: dict[str, Any] = {}
@@ -135,7 +143,7 @@ class VisaLink:
             with suppress(_LateError):
                 if self._line().endswith(word):
                     return
-        raise self.error(f"no answer within {_PATIENCE * self.timeout_s:g} s", remedy=_SILENT)
+        raise self.error(f"no answer within {_PATIENCE * self.timeout_s:.3g} s", remedy=_SLOW)
 
     def close(self) -> None:
         """Give the resource back; may be called more than once."""
@@ -174,8 +182,20 @@ class VisaLink:
             if isinstance(error, AttributeError) or getattr(error, "error_code", None) in address_codes:
                 reason = f"instrument {self.role!r}: {self.address!r} is not a VISA resource"
                 raise ConfigError(reason, remedy=_EXAMPLE) from error
-            raise self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True) from error
+            raise self._opening_error(error) from error
         return resource
+
+    def _opening_error(self, error: Exception) -> InstrumentError:
+        """Return why a resource does not open; a library or a name that is missing is no matter of its power."""
+        if "Please install" in str(error):
+            kind = self.address.upper()
+            remedy = next((words for name, words in _LIBRARIES.items() if kind.startswith(name)), str(error))
+            return self.error("the library for this kind of address is not installed", remedy=remedy)
+        if unknown := _find_unknown_host(self.address):
+            remedy = "check its spelling, or write the instrument's IP address, which its menu shows"
+            reason = f"no computer or instrument {unknown!r} is known to this network"
+            return self.error(reason, remedy=remedy, retryable=True)  # its cable may be put back
+        return self.error(f"it does not open: {error}", remedy=_SILENT, retryable=True)
 
     @contextmanager
     def _convert_errors(self) -> Iterator[None]:
@@ -184,8 +204,8 @@ class VisaLink:
             yield
         except VisaIOError as error:
             if error.error_code == StatusCode.error_timeout:
-                reason = f"no answer within {self.timeout_s:g} s"
-                raise _LateError(self.role, self.address, reason, remedy=_SILENT, retryable=True) from error
+                reason = f"no answer within {self.timeout_s:.3g} s"
+                raise _LateError(self.role, self.address, reason, remedy=_SLOW, retryable=True) from error
             raise self._link_error(error) from error
         except ConnectionRefusedError as error:
             self._down = True
@@ -201,6 +221,17 @@ class VisaLink:
 
     def error(self, reason: str, remedy: str = "", *, retryable: bool = False) -> InstrumentError:
         return InstrumentError(self.role, self.address, reason, remedy=remedy, retryable=retryable)
+
+
+def _find_unknown_host(address: str) -> str:
+    """Return the host that an address names if the network does not know it; else empty."""
+    with suppress(ValueError):
+        host = getattr(rname.ResourceName.from_string(address), "host_address", "")
+        try:
+            socket.getaddrinfo(host or None, 0)
+        except OSError:
+            return str(host)
+    return ""
 
 
 def _device(address: str) -> str:

@@ -2,11 +2,13 @@
 
 import socket
 import threading
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
 
 from cbsr_qa.domain.errors import ConfigError, InstrumentError
+from cbsr_qa.plugin.links import visa_link
 from cbsr_qa.plugin.links.serial_link import SerialLink
 from cbsr_qa.plugin.links.visa_link import VisaLink
 from cbsr_qa.simulate.instruments import streams
@@ -156,6 +158,50 @@ def test_a_backend_that_is_not_installed_is_named(port):
     with pytest.raises(ConfigError, match="no VISA backend '@nothing'"):
         VisaLink("meter", port.address, backend="@nothing")
     VisaLink("meter", port.address).close()  # and the lock was given back
+
+
+@pytest.mark.parametrize(
+    ("address", "library", "remedy"),
+    [
+        ("USB0::0x05E6::0x2634::4012345::INSTR", "PyUSB", "pip install pyusb"),
+        ("gpib0::26::INSTR", "linux-gpib (Linux) or gpib-ctypes", "install linux-gpib"),
+    ],
+)
+def test_a_library_that_is_missing_is_named_and_not_the_power_switch(monkeypatch, address, library, remedy):
+    def open_resource(*asked, **options):
+        raise ValueError(f"Please install {library} to use this resource type.\nNo module named 'x'")
+
+    monkeypatch.setitem(visa_link._managers, "@py", SimpleNamespace(open_resource=open_resource))
+    with pytest.raises(InstrumentError, match="library for this kind of address is not installed") as missing:
+        VisaLink("meter", address)
+    assert remedy in missing.value.remedy
+    assert "switched on" not in missing.value.remedy
+    assert not missing.value.retryable
+
+
+@pytest.mark.parametrize("kind", ["5025::SOCKET", "INSTR"])
+def test_a_host_that_nobody_knows_is_named(monkeypatch, kind):
+    def lookup(*asked, **options):
+        raise socket.gaierror(-2, "Name or service not known")
+
+    def open_resource(*asked, **options):
+        raise OSError(9, "Bad file descriptor")  # as pyvisa-py says it
+
+    monkeypatch.setattr(socket, "getaddrinfo", lookup)
+    monkeypatch.setitem(visa_link._managers, "@py", SimpleNamespace(open_resource=open_resource))
+    with pytest.raises(InstrumentError, match=r"no computer or instrument 'smu\.invalid' is known") as unknown:
+        VisaLink("meter", f"TCPIP::smu.invalid::{kind}", timeout_s=0.2)
+    assert "IP address" in unknown.value.remedy
+    assert unknown.value.retryable
+
+
+def test_a_time_is_told_in_figures_that_matter_and_may_be_raised(port):
+    link = VisaLink("meter", port.address, timeout_s=0.20012)
+    port.faults.arm(Fault.SILENCE)
+    with pytest.raises(InstrumentError, match=r"no answer within 0\.2 s") as late:
+        link.query("*IDN?")
+    link.close()
+    assert "raise 'timeout_s'" in late.value.remedy
 
 
 def test_a_second_link_is_refused(link, port):
