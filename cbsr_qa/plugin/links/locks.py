@@ -48,7 +48,7 @@ class AddressLock:
             reason, remedy = f"it is in use by {_describe_holder(who)}", "end that program, or wait for it"
             if who.get("pid") == os.getpid():
                 reason = f"{who['role']!r} of this program has the same address"
-                remedy = "give each instrument an address of its own"
+                remedy = "give each instrument its own address"
             raise InstrumentError(role, address, reason, remedy=remedy) from error
         except OSError as error:
             reason = f"it cannot be locked against a second program: {error}"

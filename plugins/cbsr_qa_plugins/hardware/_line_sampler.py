@@ -196,7 +196,7 @@ class LineSampler:
                 if self._example:
                     found = repr(self._example)
                 elif unended := self._partial + self._link.unended:
-                    found, remedy = describe_unended(unended), f"check its address, {_SETTINGS}, and its line end"
+                    found, remedy = describe_unended(unended), f"check its address, its line end, {_SETTINGS}"
                 raise self._link.error(
                     f"{found} was found within {allowed_s:g} s; {self._line_format()} was expected", remedy
                 )

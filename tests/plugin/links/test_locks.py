@@ -91,7 +91,7 @@ def test_an_instrument_of_the_same_program_is_refused_until_the_other_is_release
     first = AddressLock("one", ADDRESS)
     with pytest.raises(InstrumentError, match="'one' of this program has the same address") as refused:
         AddressLock("two", ADDRESS.lower() + " ")
-    assert "an address of its own" in refused.value.remedy
+    assert "its own address" in refused.value.remedy
     first.release()
     first.release()
     AddressLock("two", ADDRESS).release()
