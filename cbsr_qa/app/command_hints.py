@@ -5,7 +5,7 @@ import sys
 
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.store.damage import address
-from cbsr_qa.store.engine import parse_url, sqlite_file
+from cbsr_qa.store.engine import parse_url
 from cbsr_qa.store.repository import Repository
 
 
@@ -14,7 +14,7 @@ def database_option(database: str | None) -> str:
     if not database:
         return ""
     url = parse_url(database_url(database))
-    return f" --database {shlex.quote(database if sqlite_file(url) else address(url))}"
+    return f" --database {shlex.quote(database if url.get_backend_name() == 'sqlite' else address(url))}"
 
 
 def resume_command(run: str, store: Repository) -> str:
