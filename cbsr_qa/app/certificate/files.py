@@ -1,11 +1,11 @@
 """The files of a certificate: page, XML and signature, in one folder, named by its number."""
 
+import os
 from collections.abc import Iterator, Mapping
-from contextlib import contextmanager, suppress
+from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
 from typing import Final
 
-from cbsr_qa.domain.errors import RefusedError
 from cbsr_qa.domain.results.certificate_records import IssuedCertificate
 from cbsr_qa.system.files import write_atomically, writing
 
@@ -20,33 +20,34 @@ def list_contents(issued: IssuedCertificate) -> dict[str, bytes]:
     return contents if issued.signature is None else contents | {SIGNATURE: issued.signature.encode()}
 
 
-def check_absent(folder: Path, number: str) -> None:
-    """Refuse to replace a file of a certificate. RefusedError names it."""
-    for ending in (HTML, DCC, SIGNATURE):
-        if (path := folder / f"{number}{ending}").exists():
-            raise RefusedError(f"{path} exists already; a certificate is never replaced by another file")
+def find_taken(folder: Path, number: str) -> Path | None:
+    """Return a file of a folder that has a name of a certificate's files; None without one."""
+    paths = (folder / f"{number}{ending}" for ending in (HTML, DCC, SIGNATURE))
+    return next((path for path in paths if path.exists()), None)
 
 
 @contextmanager
 def write_files(folder: Path, number: str, contents: Mapping[str, bytes]) -> Iterator[dict[str, Path]]:
-    """Write the files of a certificate; they are removed if the block raises. Yield their paths by the same keys.
+    """Write the files of a certificate; they get their names when the block ends. Yield their paths by the same keys.
 
-    RefusedError if a file exists, or cannot be written; none is there then.
+    The block records the certificate: a file that has a name is of one that is recorded, whenever this is killed.
+
+    RefusedError if a file exists, or cannot be written; none is there then, also if the block raises.
     """
-    check_absent(folder, number)
     made = not folder.exists()
     paths = {ending: folder / f"{number}{ending}" for ending in contents}
     try:
-        for ending, path in paths.items():
-            with writing(path, remedy="make the folder writable, or name another"):
-                folder.mkdir(parents=True, exist_ok=True)
-                with write_atomically(path) as file:
+        again = f"`cbsr-qa certificate copy {number} --to FOLDER` writes again what is recorded"
+        with writing(folder / number, remedy=again), ExitStack() as named_at_the_end:
+            for ending in reversed(paths):  # the signature gets its name last
+                with writing(paths[ending], remedy="make the folder writable, or name another"):
+                    folder.mkdir(parents=True, exist_ok=True)
+                    file = named_at_the_end.enter_context(write_atomically(paths[ending]))
                     file.write(contents[ending])
-        yield paths
+                    file.flush()
+                    os.fsync(file.fileno())  # a full disk is noticed before the certificate is recorded
+            yield paths
     except BaseException:
-        for path in paths.values():
-            with suppress(OSError):  # what kept it from being written may also keep it from being looked for
-                path.unlink(missing_ok=True)
         if made:
             with suppress(OSError):  # others may have written to it meanwhile
                 folder.rmdir()

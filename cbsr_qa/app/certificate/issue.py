@@ -10,7 +10,7 @@ from math import isfinite
 from pathlib import Path
 
 from cbsr_qa.app.certificate.compose import Composed, compose_certificate
-from cbsr_qa.app.certificate.files import DCC, HTML, SIGNATURE, check_absent, list_contents, write_files
+from cbsr_qa.app.certificate.files import DCC, HTML, SIGNATURE, find_taken, list_contents, write_files
 from cbsr_qa.app.certificate.request import CertificateRequest
 from cbsr_qa.app.reanalyse.workers import local_workers
 from cbsr_qa.calibration.file.certified import CertificateSeal, sign, to_text
@@ -89,6 +89,7 @@ class RefusedCertificate:
     serial: str
     run: str
     reason: str
+    remedy: str
 
 
 @dataclass(frozen=True, slots=True)
@@ -155,12 +156,12 @@ def issue_batch(
         jobs = list(latest.items())
         workers = local_workers(min(os.cpu_count() or 1, len(jobs)), partial(_issue_in_worker, url, request))
         for (serial, run), result in workers.run_jobs(jobs):
-            results[serial] = RefusedCertificate(serial, run, result) if isinstance(result, str) else result
+            results[serial] = RefusedCertificate(serial, run, result, "") if isinstance(result, str) else result
             count(len(results), len(jobs))
     in_order = [results[serial] for serial in latest]
     issued = tuple(one for one in in_order if isinstance(one, CertificateFiles))
     refused = tuple(one for one in in_order if isinstance(one, RefusedCertificate))
-    warnings = [f"sensor {one.serial} got none: {one.reason}" for one in refused]
+    warnings = [": ".join(filter(None, (f"sensor {one.serial} got none", one.reason, one.remedy))) for one in refused]
     warnings += _warn_of_customer(request) if issued else []
     outcome = answer(
         BatchCertificates(batch, issued, refused),
@@ -191,7 +192,7 @@ def _issue_in_worker(
     try:
         return _issue(_open_in_worker(url), run, request)[0]
     except CbsrError as error:
-        return RefusedCertificate(serial, run, error.reason)
+        return RefusedCertificate(serial, run, error.reason, error.remedy)
 
 
 @cache  # statements are compiled once per opening, which takes a fifth of a certificate
@@ -205,7 +206,13 @@ def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[Ce
     now = RealClock().wall()
     composed = compose_certificate(store, run, request, now)
     certificate = composed.certificate
-    check_absent(request.folder, certificate.number)
+    if (path := find_taken(request.folder, certificate.number)) is not None:
+        raise RefusedError(
+            f"{path} exists already, and the database has no certificate {certificate.number}: an interrupted command"
+            " left it, or the database lost it",
+            remedy=f"if nobody was given it, remove {path.parent / certificate.number}.*; else test the sensor again:"
+            " that gives another number",
+        )
     key = None if composed.key is None else signing_key(composed.key)
     issued = _render(composed, key, now)
     with write_files(request.folder, certificate.number, list_contents(issued)) as paths:

@@ -100,10 +100,19 @@ def revoke_certificate(
 
 
 def copy_certificate(number: str, folder: Path, *, database: str | None = None) -> CommandOutcome[WrittenFiles]:
-    """Write the files of a certificate again, byte for byte. RefusedError if one exists or cannot be written."""
+    """Write the files of a certificate again, byte for byte; those that are there stay.
+
+    RefusedError if another file has a name of one, or one cannot be written; nothing is written then.
+    """
     with open_store(database_url(database), create=False) as store:
         stored = store.certificates.load(number)
-    with write_files(folder, number, list_contents(stored.issued)) as paths:
+    missing: dict[str, bytes] = {}
+    for ending, data in list_contents(stored.issued).items():
+        if not (path := folder / f"{number}{ending}").exists():
+            missing[ending] = data
+        elif not path.is_file() or path.read_bytes() != data:
+            raise RefusedError(f"{path} exists already, and is another file", remedy="name another folder")
+    with write_files(folder, number, missing) as paths:
         written = WrittenFiles(tuple(paths.values()), 1)
     warnings = [f"it was {stored.withdrawn}"] if stored.withdrawals else []
     return answer(

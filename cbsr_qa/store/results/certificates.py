@@ -157,7 +157,8 @@ def _read_replaced(connection: Connection, run: str, replaces: str | None) -> St
         state = f"was {earlier.withdrawn}" if earlier.withdrawals else "stands"
         raise StoreError(
             f"certificate {newest} of this run {state}",
-            remedy="--replaces NUMBER --reason TEXT issues one in its place, which names it",
+            remedy="--replaces NUMBER --reason TEXT issues one in its place, which names it;"
+            " `cbsr-qa certificate copy` writes its files again",
         )
     return replaced
 

@@ -97,7 +97,11 @@ def test_a_destination_that_exists_is_refused(place):
         run = store.runs.resolve("S-1")
     (place.folder / "out").mkdir()
     (place.folder / "out" / f"SSW-{run}.xml").write_text("mine")
-    assert "exists already" in place.certify("S-1", "--to", "out", code=2)["refused"]["reason"]
+    refused = place.certify("S-1", "--to", "out", code=2)["refused"]
+    assert f"exists already, and the database has no certificate SSW-{run}" in refused["reason"]
+    (told,) = place.certify("--batch", "B7", "--to", "out", code=1)["refused"]
+    assert told["remedy"] == refused["remedy"]
+    assert f"remove out/SSW-{run}.*; else test the sensor again" in refused["remedy"]
     assert [path.name for path in (place.folder / "out").iterdir()] == [f"SSW-{run}.xml"]
 
 

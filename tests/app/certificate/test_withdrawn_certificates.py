@@ -95,7 +95,13 @@ def test_files_are_written_again_byte_for_byte(place):
     assert [name.removeprefix(made["number"]) for name in names] == [".html", ".signature.json", ".xml"]
     for name in names:
         assert (place.folder / "again" / name).read_bytes() == (place.folder / "out" / name).read_bytes()
+    (place.folder / "again" / names[0]).unlink()
+    assert [path.name for path in (place.folder / "again").iterdir() if path.suffix == ".html"] == []
+    place.certify("copy", made["number"], "--to", "again")
+    assert (place.folder / "again" / names[0]).read_bytes() == (place.folder / "out" / names[0]).read_bytes()
+    (place.folder / "again" / names[0]).write_text("mine")
     assert "exists already" in place.certify("copy", made["number"], "--to", "again", code=2)["refused"]["reason"]
+    assert (place.folder / "again" / names[0]).read_text() == "mine"
 
 
 @pytest.mark.rest
