@@ -149,6 +149,29 @@ def test_an_altered_certificate_is_refused_by_name(store, path, statement, said)
         again.certificates.list_all()
 
 
+@pytest.mark.parametrize("serial", [None, "S-1"])
+def test_a_listing_names_certificates_whose_rows_were_removed(store, path, serial):
+    one, other = certified(store), certified(store, "S-2")
+    for issued in (one, other):
+        store.certificates.save(issued)
+    store.certificates.revoke(one.number, operator="Ada", why="so")
+    with closing(sqlite3.connect(path)) as opened, opened:
+        opened.execute("delete from certificate_withdrawals")
+        opened.execute("delete from certificates where run = ?", [one.run])
+    with open_store(f"sqlite:///{path}") as again:
+        for attempt in (lambda: again.certificates.list_all(serial), lambda: again.certificates.find(one.number)):
+            with pytest.raises(StoreError, match=f"run {one.run}: certificate.* was removed"):
+                attempt()
+        assert [found.issued.number for found in again.certificates.list_all("S-2")] == [other.number]
+
+
+def test_a_number_says_whether_its_run_was_begun_here(store):
+    one = certified(store)
+    assert store.certificates.is_numbered_here(f"{one.number}-R1")
+    assert not store.certificates.is_numbered_here("LAB-01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d")
+    assert not store.certificates.is_numbered_here("LAB-1")
+
+
 def test_a_run_that_was_altered_is_not_certified_also_after_it_was_loaded(store, path):
     one = certified(store)
     head = store.runs.load(one.run).chain_head

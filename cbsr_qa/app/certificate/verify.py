@@ -168,10 +168,14 @@ class _Check:
                 self.record = None
                 yield error.reason
                 return
-            self.looked_up = self.record is not None
-            if self.record is None and (database is not None or self.public_key is None):
+            missing = (
+                self.record is None and self.number is not None and store.certificates.is_numbered_here(self.number)
+            )
+            self.looked_up = self.record is not None or missing
+            if self.record is None and (missing or database is not None or self.public_key is None):
                 unknown = f"{store.shown} has no certificate {self.number or 'of this file'}"
-                yield unknown if self.public_key else f"{unknown}{_OR_PIN}"
+                unknown += ", though its run was begun there" if missing else ""
+                yield unknown if self.public_key or missing else f"{unknown}{_OR_PIN}"
         if self.record is not None and self.record.withdrawals:
             yield f"certificate {self.number} was {self.record.withdrawn}"
 

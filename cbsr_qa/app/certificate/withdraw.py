@@ -126,18 +126,25 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
     Raises
     ------
     RefusedError
-        If the key cannot be used, or the file is something else or cannot be written.
+        If the key cannot be used, or the file is something else, names a certificate that this database does not, or
+        cannot be written.
     """
-    own_key = signing_key(key)
+    own_key, earlier = signing_key(key), set()
     if path.exists():
         try:
-            read_withdrawn(path)
+            earlier = {one.number for one in read_withdrawn(path).withdrawn}
         except CalibrationError as error:
             raise RefusedError(
                 f"{path} exists, and is not a list of withdrawn certificates", remedy="name another file"
             ) from error
     with open_store(database_url(database), create=False) as store:
         withdrawn = _list_withdrawn(store, store.certificates.list_all())
+    if lost := sorted(earlier - {one.number for one in withdrawn}):
+        others = f", nor {len(lost) - 1} more of that list" if len(lost) > 1 else ""
+        raise RefusedError(
+            f"{path} names certificate {lost[0]}, which is not withdrawn in this database{others}",
+            remedy="if it is the list of another database, name another file; else restore the database from a copy",
+        )
     signed = sign(WithdrawnList(withdrawn), own_key, RealClock().wall())
     with writing(path), write_atomically(path) as file:
         file.write(to_text(signed).encode())

@@ -1,26 +1,29 @@
 """Certificates of runs, their replacement and revocation: appended under the chains of their runs, never changed."""
 
 import hashlib
+import re
 from collections.abc import Callable, Iterable
 from datetime import datetime
 from typing import Any, Final
 
-from sqlalchemy import Connection, Engine, func, select
+from sqlalchemy import Connection, Engine, exists, func, select, true
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.results.certificate_records import CertificateWithdrawal, IssuedCertificate, StoredCertificate
 from cbsr_qa.store.chain.check import check_run, check_unless_checked
-from cbsr_qa.store.chain.links import add_rows
+from cbsr_qa.store.chain.links import add_rows, match_few_links
 from cbsr_qa.store.engine import reading, writing
 from cbsr_qa.store.mapping import convert_row, row_of
 from cbsr_qa.store.runs.begun import check_begun_here
+from cbsr_qa.store.tables.records import LinkRow
 from cbsr_qa.store.tables.results import AnalysisRow, CertificateRow, CertificateWithdrawalRow
-from cbsr_qa.store.tables.runs import RunRow
+from cbsr_qa.store.tables.runs import RunBegunRow, RunRow
 
 #: Documents that say whether a certificate stands; with analyses, a link that is missing after them is noticed.
-_KINDS: Final = frozenset(
-    {CertificateRow.__tablename__, CertificateWithdrawalRow.__tablename__, AnalysisRow.__tablename__}
-)
+_KEPT: Final = (CertificateRow.__tablename__, CertificateWithdrawalRow.__tablename__)
+_KINDS: Final = frozenset({*_KEPT, AnalysisRow.__tablename__})
+#: The run in the number of a certificate.
+_RUN: Final = re.compile("[0-9a-f]{8}(-[0-9a-f]{4}){3}-[0-9a-f]{12}")
 _LIST: Final = "cbsr-qa certificate list names the certificates of a database"
 
 
@@ -122,12 +125,27 @@ class Certificates:
             return _load(connection, number)
 
     def list_all(self, serial: str | None = None) -> tuple[StoredCertificate, ...]:
-        """Return the certificates of one sensor, or all, in the order they were issued; errors as :meth:`find`."""
-        row = CertificateRow
-        query = select(row.number).join(RunRow, RunRow.run == row.run).order_by(row.certificate)
+        """Return the certificates of one sensor, or all, in the order they were issued; errors as :meth:`find`.
+
+        Runs that have only links of certificates are checked too: their rows were removed.
+        """
+        row, link = CertificateRow, LinkRow
+        of_sensor = true() if serial is None else RunRow.serial == serial
+        linked = exists().where(link.run == RunRow.run, link.kind.in_(_KEPT), match_few_links())
+        listed = exists().where(row.run == RunRow.run)
+        query = select(row.number).join(RunRow, RunRow.run == row.run).where(of_sensor).order_by(row.certificate)
         with reading(self._engine) as connection:
-            numbers = connection.scalars(query if serial is None else query.where(RunRow.serial == serial)).all()
-            return tuple(_load(connection, number) for number in numbers)
+            for run in connection.scalars(select(RunRow.run).where(of_sensor, linked, ~listed)).all():
+                check_run(connection, run, _KINDS)
+            return tuple(_load(connection, number) for number in connection.scalars(query).all())
+
+    def is_numbered_here(self, number: str) -> bool:
+        """Whether a number names a run that was begun in this database, which then has every certificate of it."""
+        begun = RunBegunRow.run
+        with reading(self._engine) as connection:
+            return (run := _read_run(number)) is not None and bool(
+                connection.scalar(select(exists().where(begun == run)))
+            )
 
 
 def check_documents(rows: Iterable[Any]) -> None:
@@ -174,6 +192,9 @@ def _find(connection: Connection, number: str) -> StoredCertificate | None:
     row, withdrawn = CertificateRow, CertificateWithdrawalRow
     run = connection.scalar(select(row.run).where(row.number == number))
     if run is None:
+        named = _read_run(number)
+        if named is not None and connection.scalar(select(exists().where(RunRow.run == named))):
+            check_run(connection, named, _KINDS)  # names a row that was removed
         return None
     check_run(connection, run, _KINDS)
     query = select(*row.__table__.columns, RunRow.serial).join(RunRow, RunRow.run == row.run)
@@ -185,6 +206,11 @@ def _find(connection: Connection, number: str) -> StoredCertificate | None:
         stored.serial,
         tuple(convert_row(CertificateWithdrawal, one) for one in connection.execute(later)),
     )
+
+
+def _read_run(number: str) -> str | None:
+    found = _RUN.search(number)
+    return None if found is None else found[0]
 
 
 def _sha256(data: bytes) -> str:

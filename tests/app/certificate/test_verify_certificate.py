@@ -143,3 +143,18 @@ def test_a_run_without_a_result_is_named(place, monkeypatch):
     made = place.certify("S-1", "--to", "out")
     monkeypatch.setattr(Analyses, "load", lambda *_: ())  # as after a session that began since
     assert "has no result now" in place.certify("verify", made["dcc"], code=1)["why"]
+
+
+@pytest.mark.rest
+def test_a_certificate_that_the_database_lost_is_named_although_its_key_is_pinned(place, monkeypatch):
+    new_key(place.folder / "a.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    monkeypatch.setenv("CBSR_QA_DATABASE", str(place.database))
+    path, key = place.folder / made["dcc"], place.folder / "a.key.pub"
+    place.change("delete from certificates")
+    found = verify_certificate(path, public_key=key)
+    assert re.search("certificates .* was removed", found.result.why)
+    place.change("delete from run_links where kind = 'certificates'")  # the last link of the run
+    found = verify_certificate(path, public_key=key)
+    assert found.result.why.endswith(f"has no certificate {made['number']}, though its run was begun there")
+    assert not any("not looked up" in warning for warning in found.page.warnings)

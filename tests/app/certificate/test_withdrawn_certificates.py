@@ -111,3 +111,22 @@ def test_a_list_is_not_written_over_another_file(place):
     refused = place.certify("withdrawn", "--to", "station.toml", "--key", "a.key", code=2)["refused"]
     assert refused["reason"] == "station.toml exists, and is not a list of withdrawn certificates"
     assert (place.folder / "station.toml").read_text() == before
+
+
+@pytest.mark.rest
+def test_a_list_is_not_replaced_by_one_that_lost_a_revocation(place):
+    new_key(place.folder / "a.key")
+    made = place.certify("S-1", "--to", "out", "--key", "a.key")
+    place.certify("revoke", made["number"], "--reason", "wrong head", "--by", "Zoë")
+    words = ("withdrawn", "--to", "withdrawn.json", "--key", "a.key")
+    for _ in range(2):
+        place.certify(*words)
+    before = (place.folder / "withdrawn.json").read_bytes()
+    for table in ("certificate_withdrawals", "run_links where kind = 'certificate_withdrawals'"):  # the last link
+        place.change(f"delete from {table}")
+    refused = place.certify(*words, code=2)["refused"]
+    assert refused["reason"] == (
+        f"withdrawn.json names certificate {made['number']}, which is not withdrawn in this database"
+    )
+    assert "name another file" in refused["remedy"]
+    assert (place.folder / "withdrawn.json").read_bytes() == before
