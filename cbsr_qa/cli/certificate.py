@@ -120,7 +120,7 @@ def verify(
 
     It is compared with its signature file and with the database, whichever is there; in the database its run is
     checked too, with every frame; what was removed from its end together with its links is not noticed. Exit code 1
-    unless it is valid.
+    unless it is valid, and signed by the key that --public-key names or recorded in the database.
     """
     from cbsr_qa.app.certificate.verify import verify_certificate
 

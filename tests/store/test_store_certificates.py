@@ -39,6 +39,8 @@ def test_a_certificate_comes_back_as_it_was_stored(store):
     assert (back.issued, back.serial, back.withdrawals, back.withdrawn) == (one, "S-1", (), "")
     assert store.certificates.find("LAB-none") is None
     assert store.certificates.count(one.run) == 1
+    with pytest.raises(StoreError, match="there is no sensor 'S-9' in this database"):
+        store.certificates.list_all("S-9")
     assert store.runs.load(one.run).chain.chained
 
 

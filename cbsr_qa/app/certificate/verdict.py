@@ -41,3 +41,12 @@ class RunVerdict:
     @property
     def words(self) -> str:
         return f"{self.outcome}, {self.overridden}" if self.overridden else str(self.outcome)
+
+
+def find_verdict_problem(store: Repository, run: str) -> str:
+    """Return why a certified run could not be certified now; empty if it could. StoreError if it was altered."""
+    analyses = store.analyses.load(run)
+    if not analyses:
+        return f"run {run} has gone on since, and has no result now"
+    verdict = RunVerdict.from_analyses(store, run, analyses)
+    return "" if verdict.passes else f"the verdict of its run is {verdict.outcome} now: {verdict.reason}"

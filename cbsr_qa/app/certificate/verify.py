@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import Final
 
 from cbsr_qa.app.certificate.files import SIGNATURE
-from cbsr_qa.app.certificate.verdict import RunVerdict
+from cbsr_qa.app.certificate.verdict import find_verdict_problem
 from cbsr_qa.calibration.file.certified import (
     CertificateSeal,
     check_list,
@@ -21,7 +21,7 @@ from cbsr_qa.calibration.file.certified import (
 from cbsr_qa.config.paths import database_url
 from cbsr_qa.domain.errors import CalibrationError, StoreError
 from cbsr_qa.domain.results.certificate_records import StoredCertificate
-from cbsr_qa.domain.results.report import CommandOutcome
+from cbsr_qa.domain.results.report import Banner, CommandOutcome
 from cbsr_qa.domain.results.signature import fingerprint
 from cbsr_qa.report.page import answer
 from cbsr_qa.store.opening import open_existing, open_store
@@ -86,11 +86,11 @@ def verify_certificate(
 ) -> CommandOutcome[VerifiedCertificate]:
     """Verify page or XML of a certificate, by its signature file and by the database, whichever is there.
 
-    Exit code 1 unless it is valid.
+    Exit code 1 unless it is valid, signed by the pinned key or recorded in the database.
 
     Parameters
     ----------
-    public_key : PEM file with the key that must have signed it; None for any.
+    public_key : PEM file with the key that must have signed it; None: the database must have it.
     signature : signature file; by default beside the file.
     withdrawn : list of withdrawn certificates, signed with the same key as the certificate.
     database : URL or path; by default the usual one, if it exists.
@@ -112,7 +112,9 @@ def verify_certificate(
         whys.append("it is unknown who issued it: there is no signature file beside it, and no database has it")
     whys += [*check.find_digest_problems(hashlib.sha256(data).hexdigest()), *check.find_validity_problems()]
     whys += check.find_listed_problems(withdrawn)
-    warnings = [_NOT_PINNED] if check.signed_by and public_key is None and check.record is None else []
+    if check.signed_by and public_key is None and check.record is None and not whys:
+        whys.append(_NOT_PINNED)
+    warnings: list[str] = []
     if not check.looked_up:
         warnings.append(_NOT_LOOKED_UP if check.list_of is None else _ONLY_LISTED.format(day=check.list_of))
     return _answer(check, "; ".join(dict.fromkeys(whys)), warnings)
@@ -223,13 +225,8 @@ def _find_run_problems(store: Repository, record: StoredCertificate) -> Iterator
     run = record.issued.run
     if not chain.chained:
         yield f"run {run}: {chain.words}"
-    analyses = store.analyses.load(run)
-    if not analyses:
-        yield f"run {run} has gone on since, and has no result now"
-        return
-    verdict = RunVerdict.from_analyses(store, run, analyses)
-    if not verdict.passes:
-        yield f"the verdict of its run is {verdict.outcome} now: {verdict.reason}"
+    if problem := find_verdict_problem(store, run):
+        yield problem
 
 
 def _answer(check: _Check, why: str, warnings: list[str]) -> CommandOutcome[VerifiedCertificate]:
@@ -250,5 +247,7 @@ def _answer(check: _Check, why: str, warnings: list[str]) -> CommandOutcome[Veri
     outcome = answer(verified, f"{check.path} is valid", "", facts, warnings=warnings)
     if not why:
         return outcome
-    banner = replace(outcome.page.banner, tone="fail", symbol="✗", headline=f"{check.path} is not valid", reason=why)
+    banner = Banner("fail", "✗", f"{check.path} is not valid", why)
+    if why == _NOT_PINNED:
+        banner = Banner("marginal", "≈", f"{check.path} is unchanged; who signed it is not known", why)
     return replace(outcome, page=replace(outcome.page, banner=banner), exit_code=1)

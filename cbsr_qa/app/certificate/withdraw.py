@@ -6,6 +6,7 @@ from datetime import datetime
 from pathlib import Path
 
 from cbsr_qa.app.certificate.files import list_contents, write_files
+from cbsr_qa.app.certificate.verdict import find_verdict_problem
 from cbsr_qa.calibration.file.certified import Withdrawn, WithdrawnList, read_withdrawn, sign, to_text
 from cbsr_qa.calibration.file.hdf5 import calibration_of
 from cbsr_qa.calibration.file.keys import signing_key
@@ -25,7 +26,13 @@ from cbsr_qa.system.files import write_atomically, writing
 
 @dataclass(frozen=True, slots=True)
 class ListedCertificate:
-    """A certificate in one line; ``withdrawn`` says what became of it, None while it stands."""
+    """A certificate in one line.
+
+    Parameters
+    ----------
+    withdrawn : what became of it; None while it stands.
+    run_problem : why its run could not be certified now; None if it could, or the certificate does not stand.
+    """
 
     number: str
     serial: str
@@ -34,10 +41,12 @@ class ListedCertificate:
     valid_until: str | None
     replaces: str | None
     withdrawn: str | None
+    run_problem: str | None
 
     @classmethod
-    def from_stored(cls, stored: StoredCertificate) -> "ListedCertificate":
+    def from_stored(cls, store: Repository, stored: StoredCertificate) -> "ListedCertificate":
         issued = stored.issued
+        problem = "" if stored.withdrawals else find_verdict_problem(store, issued.run)
         return cls(
             issued.number,
             stored.serial,
@@ -46,6 +55,7 @@ class ListedCertificate:
             issued.valid_until,
             issued.replaces,
             stored.withdrawn or None,
+            problem or None,
         )
 
 
@@ -65,11 +75,17 @@ class WrittenFiles:
 
 
 def list_certificates(serial: str | None, *, database: str | None = None) -> CommandOutcome[CertificateList]:
-    """List the certificates of one sensor, or of all. StoreError if a run of one was altered."""
+    """List the certificates of one sensor, or of all. StoreError without such a sensor, or if a run was altered."""
     with open_store(database_url(database), create=False) as store:
-        listed = tuple(map(ListedCertificate.from_stored, store.certificates.list_all(serial)))
+        listed = tuple(ListedCertificate.from_stored(store, one) for one in store.certificates.list_all(serial))
     rows = [
-        (one.number, one.serial, f"{one.issued_at:%Y-%m-%d}", one.valid_until or NOT_STATED, one.withdrawn or "")
+        (
+            one.number,
+            one.serial,
+            f"{one.issued_at:%Y-%m-%d}",
+            one.valid_until or NOT_STATED,
+            one.withdrawn or (f"no, but {one.run_problem}" if one.run_problem else ""),
+        )
         for one in listed
     ]
     table = text_table("", ("number", "sensor", "issued", "valid until", "withdrawn"), rows)
@@ -95,7 +111,9 @@ def revoke_certificate(
         )
     operator, reason = validate_operator(by) or NOT_STATED, validate_reason(why)
     with open_store(database_url(database), create=False) as store:
-        revoked = ListedCertificate.from_stored(store.certificates.revoke(number, operator=operator, why=reason))
+        revoked = ListedCertificate.from_stored(
+            store, store.certificates.revoke(number, operator=operator, why=reason)
+        )
     return answer(revoked, f"certificate {number} revoked", reason, [("Sensor", revoked.serial)])
 
 
@@ -138,7 +156,13 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
                 f"{path} exists, and is not a list of withdrawn certificates", remedy="name another file"
             ) from error
     with open_store(database_url(database), create=False) as store:
-        withdrawn = _list_withdrawn(store, store.certificates.list_all())
+        certificates = store.certificates.list_all()
+        withdrawn = _list_withdrawn(store, certificates)
+        warnings = [
+            f"certificate {one.issued.number} stands, and is not listed: {problem}; `cbsr-qa certificate revoke` it"
+            for one in certificates
+            if not one.withdrawals and (problem := find_verdict_problem(store, one.issued.run))
+        ]
     if lost := sorted(earlier - {one.number for one in withdrawn}):
         others = f", nor {len(lost) - 1} more of that list" if len(lost) > 1 else ""
         raise RefusedError(
@@ -149,7 +173,8 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
     with writing(path), write_atomically(path) as file:
         file.write(to_text(signed).encode())
     written = WrittenFiles((path,), len(withdrawn))
-    return answer(written, f"{plural(len(withdrawn), 'withdrawn certificate')} listed", printed=[("File", str(path))])
+    headline = f"{plural(len(withdrawn), 'withdrawn certificate')} listed"
+    return answer(written, headline, printed=[("File", str(path))], warnings=warnings)
 
 
 def _list_withdrawn(store: Repository, certificates: Sequence[StoredCertificate]) -> tuple[Withdrawn, ...]:

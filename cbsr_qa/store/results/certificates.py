@@ -125,9 +125,14 @@ class Certificates:
             return _load(connection, number)
 
     def list_all(self, serial: str | None = None) -> tuple[StoredCertificate, ...]:
-        """Return the certificates of one sensor, or all, in the order they were issued; errors as :meth:`find`.
+        """Return the certificates of one sensor, or all, in the order they were issued.
 
         Runs that have only links of certificates are checked too: their rows were removed.
+
+        Raises
+        ------
+        StoreError
+            If no run is of that sensor; or as :meth:`find`.
         """
         row, link = CertificateRow, LinkRow
         of_sensor = true() if serial is None else RunRow.serial == serial
@@ -135,6 +140,10 @@ class Certificates:
         listed = exists().where(row.run == RunRow.run)
         query = select(row.number).join(RunRow, RunRow.run == row.run).where(of_sensor).order_by(row.certificate)
         with reading(self._engine) as connection:
+            if serial is not None and not connection.scalar(select(exists().where(of_sensor))):
+                raise StoreError(
+                    f"there is no sensor {serial[:64]!r} in this database", remedy="cbsr-qa runs lists them"
+                )
             for run in connection.scalars(select(RunRow.run).where(of_sensor, linked, ~listed)).all():
                 check_run(connection, run, _KINDS)
             return tuple(_load(connection, number) for number in connection.scalars(query).all())

@@ -11,6 +11,7 @@ from cbsr_qa.app.certificate.compose import (
     add_months,
 )
 from cbsr_qa.app.certificate.verify import verify_certificate
+from cbsr_qa.app.certificate.withdraw import write_withdrawn
 from cbsr_qa.calibration.file.keys import new_key
 from cbsr_qa.cli.main import run_guarded
 from cbsr_qa.domain.errors import CalibrationError
@@ -91,6 +92,7 @@ def test_a_clock_before_the_day_of_issue_is_named(place):
 
 @pytest.mark.rest
 def test_a_verdict_that_is_overridden_later_is_named(place, capsys):
+    new_key(place.folder / "a.key")
     made = place.certify("S-1", "--to", "out")
     with open_store(f"sqlite:///{place.database}") as store:
         run = store.runs.resolve("S-1")
@@ -99,9 +101,16 @@ def test_a_verdict_that_is_overridden_later_is_named(place, capsys):
     assert json.loads(capsys.readouterr().out)["standing_certificates"] == [made["number"]]
     why = place.certify("verify", made["dcc"], code=1)["why"]
     assert why == "the verdict of its run is fail now: overridden by Bob: scratched"
+    (listed,) = place.certify("list")["certificates"]
+    assert (listed["withdrawn"], listed["run_problem"]) == (None, why)
+    (warning,) = write_withdrawn(
+        place.folder / "w.json", place.folder / "a.key", database=str(place.database)
+    ).page.warnings
+    assert f"certificate {made['number']} stands, and is not listed: {why}" in warning
     assert run_guarded([*words, "--outcome", "pass"]) == 0
     capsys.readouterr()
     place.certify("verify", made["dcc"])
+    assert place.certify("list")["certificates"][0]["run_problem"] is None
 
 
 @pytest.mark.rest
@@ -115,10 +124,13 @@ def test_a_list_speaks_of_certificates_of_its_own_key_until_its_day(place, monke
         place.certify("withdrawn", "--to", f"{name}.json", "--key", f"{name}.key")
     monkeypatch.setenv("CBSR_QA_VAR", str(place.folder / "elsewhere"))
     path, seal = place.folder / made["dcc"], place.folder / "out" / f"{made['number']}.signature.json"
-    listed = verify_certificate(path, withdrawn=place.folder / "a.json")
+    listed = verify_certificate(path, withdrawn=place.folder / "a.json", public_key=place.folder / "a.key.pub")
     assert (listed.result.valid, listed.result.list_of) == (True, f"{datetime.now(UTC):%Y-%m-%d}")
     assert any("after the list was signed" in warning for warning in listed.page.warnings)
-    assert verify_certificate(path).result.list_of is None
+    unknown = verify_certificate(path)
+    assert (unknown.result.valid, unknown.result.list_of, unknown.exit_code) == (False, None, 1)
+    assert "no key was pinned, so anybody may have made it" in unknown.result.why
+    assert unknown.page.banner.headline.endswith("is unchanged; who signed it is not known")
     other = verify_certificate(path, withdrawn=place.folder / "b.json").result
     assert "the certificate by key" in other.why
     (calibration,) = (place.folder / "var" / "calibrations").glob("*.h5")
