@@ -1,6 +1,5 @@
 """The files of a certificate: page, XML and signature, in one folder, named by its number."""
 
-import os
 from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -32,7 +31,7 @@ def write_files(folder: Path, number: str, contents: Mapping[str, bytes]) -> Ite
 
     The block records the certificate: a file that has a name is of one that is recorded, whenever this is killed.
 
-    RefusedError if a file exists, or cannot be written; none is there then, also if the block raises.
+    RefusedError if one cannot be written; none is there then, nor if the block raises.
     """
     made = not folder.exists()
     paths = {ending: folder / f"{number}{ending}" for ending in contents}
@@ -44,8 +43,7 @@ def write_files(folder: Path, number: str, contents: Mapping[str, bytes]) -> Ite
                     folder.mkdir(parents=True, exist_ok=True)
                     file = named_at_the_end.enter_context(write_atomically(paths[ending]))
                     file.write(contents[ending])
-                    file.flush()
-                    os.fsync(file.fileno())  # a full disk is noticed before the certificate is recorded
+                    file.flush()  # a full disk is noticed before the certificate is recorded
             yield paths
     except BaseException:
         if made:

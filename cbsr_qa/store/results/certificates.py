@@ -185,7 +185,7 @@ def _read_replaced(connection: Connection, run: str, replaces: str | None) -> St
         raise StoreError(
             f"certificate {newest} of this run {state}",
             remedy="--replaces NUMBER --reason TEXT issues one in its place, which names it;"
-            " `cbsr-qa certificate copy` writes its files again",
+            f" `cbsr-qa certificate copy {newest} --to FOLDER` writes its files again",
         )
     return replaced
 

@@ -42,7 +42,8 @@ def test_a_certificate_that_was_recorded_and_not_named_is_written_again(place, m
     capsys.readouterr()
     assert not (place.folder / "out").exists()
     refused = place.certify("S-1", "--to", "out", "--key", "a.key", code=2)["refused"]
-    assert "`cbsr-qa certificate copy` writes its files again" in refused["remedy"]
     (listed,) = place.certify("list")["certificates"]
+    again = f"`cbsr-qa certificate copy {listed['number']} --to FOLDER` writes its files again"
+    assert again in refused["remedy"]
     (page, *_) = place.certify("copy", listed["number"], "--to", "out")["files"]
     place.certify("verify", page, "--public-key", "a.key.pub")
