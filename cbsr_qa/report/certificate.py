@@ -129,7 +129,8 @@ def _count_long_texts(certificate: Certificate) -> int:
     texts = [text for _, text in _standards(certificate)]
     texts += [f"{one.role}: {one.model}, serial number {one.serial}; " for one in identity.instruments]
     texts += [str(part) for part in identity.parts]
-    texts += [settings.laboratory, settings.street, settings.place, customer.name, customer.address]
+    texts += [settings.laboratory, settings.street, settings.post_code, settings.city, settings.email or ""]
+    texts += [settings.place, customer.name, customer.address]
     texts += [] if certificate.replaced is None else [describe_replaced(certificate.replaced)]
     return sum(map(len, texts))
 

@@ -121,14 +121,18 @@ def state_conformity(certificate: Certificate) -> str:
     accepted = f" Largest specific risk of false acceptance {_KNOWING}: {_percent(max(risks))}." if risks else ""
     rejected = f" Largest specific risk of false rejection {_KNOWING}: {_percent(max(kept))}." if kept else ""
     counts = {word: sum(load.outcome == word for load in loads) for word in _OUTCOMES if word}
-    plain = {"pass": "conform", "fail": "do not conform"} if len(loads) > 1 else {}
+    several = {"pass": "conform", "fail": "do not conform"}
     verdict = {
         "pass": "The indicated force conforms with the maximum permissible error",
         "conditionalPass": "Conformity with the maximum permissible error is not decided",
         "conditionalFail": "Conformity with the maximum permissible error is not decided",
         "fail": "The indicated force does not conform with the maximum permissible error",
     }[certificate.outcome]
-    told = ", ".join(f"{count} {plain.get(word, _OUTCOMES[word])}" for word, count in counts.items() if count)
+    told = ", ".join(
+        f"{count} {several.get(word, _OUTCOMES[word]) if count > 1 else _OUTCOMES[word]}"
+        for word, count in counts.items()
+        if count
+    )
     return f"{verdict}: of {len(loads)} checked loads, {told}.{accepted}{rejected}"
 
 

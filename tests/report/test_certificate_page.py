@@ -237,17 +237,17 @@ def test_conformity_is_stated_with_its_risk():
         (
             (0.0, 0.25),
             "conditionalPass",
-            "is not decided: of 2 checked loads, 1 conform, 1 within the limit by less than U (not decided)",
+            "is not decided: of 2 checked loads, 1 conforms, 1 within the limit by less than U (not decided)",
         ),
         (
             (0.0, 0.35),
             "conditionalFail",
-            "is not decided: of 2 checked loads, 1 conform, 1 beyond the limit by less than U (not decided)",
+            "is not decided: of 2 checked loads, 1 conforms, 1 beyond the limit by less than U (not decided)",
         ),
         (
             (0.0, 0.9),
             "fail",
-            "does not conform with the maximum permissible error: of 2 checked loads, 1 conform",
+            "does not conform with the maximum permissible error: of 2 checked loads, 1 conforms, 1 does not conform",
         ),
     ],
 )
@@ -296,8 +296,26 @@ _EDGES = """sides => sides.map(side => [
 ])"""
 
 
+#: Texts of fields that reach beyond the block of the authorisation.
+_BEYOND = """fields => fields
+    .filter(one => one.getBoundingClientRect().right > one.parentElement.getBoundingClientRect().right + 0.5)
+    .map(one => one.textContent)"""
+
+
+def certify_at_a_long_address():
+    """Return a certificate whose head and authorisation have the longest texts, without blanks; the rest is usual."""
+    long = {"post_code": 80 * "8", "city": 80 * "C", "email": f"{68 * 'e'}@example.org", "signatory": 80 * "S"}
+    prefix = 24 * "W"
+    return certificate(
+        settings=settings(prefix=prefix, **long),
+        number=f"{prefix}-01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d-R1",
+        replaced=Replacement(f"{prefix}-01989c3e-6d1f-7a42-b6d0-0e6f5a1f2c3d", "name", 64 * "e"),
+        customer=Customer(20 * "Robot ", 20 * "Ring 1"),
+    )
+
+
 @pytest.mark.rest
-@pytest.mark.parametrize("made", [certificate, largest_certificate], ids=["usual", "largest"])
+@pytest.mark.parametrize("made", [certificate, largest_certificate, certify_at_a_long_address])
 def test_a_certificate_prints_on_two_sides_and_nothing_overlaps(browser, made):
     page = browser.new_page()
     page.emulate_media(media="print")
@@ -306,6 +324,7 @@ def test_a_certificate_prints_on_two_sides_and_nothing_overlaps(browser, made):
     assert len(edges) == 2
     for lowest, footer in edges:
         assert lowest <= footer
+    assert page.eval_on_selector_all(".sign div", _BEYOND) == []
     assert len(re.findall(rb"/Type\s*/Page\b", page.pdf(prefer_css_page_size=True))) == 2
     page.close()
 
