@@ -211,6 +211,8 @@ def writing(path: Path, *, refusal: type[RefusedError] = RefusedError, remedy: s
             reason = f"{error.filename} is a file, not a folder"
         if isinstance(error, PermissionError):
             remedy = remedy or "allow writing there, or name another file"
+        if error.errno in (errno.ENOSPC, errno.EDQUOT):
+            remedy = "make room on that disk, or name a place on another"
         raise refusal(f"{path} cannot be written: {reason}", remedy=remedy) from error
 
 

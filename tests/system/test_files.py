@@ -1,6 +1,7 @@
 """Files appear whole or not at all, with the permissions the user's umask leaves them."""
 
 import csv
+import errno
 import io
 import os
 import stat
@@ -182,3 +183,10 @@ def test_without_permission_it_says_what_to_do(tmp_path):
         raise PermissionError(13, "Permission denied")
     assert refused.value.reason == f"{tmp_path / 'x.csv'} cannot be written: Permission denied"
     assert refused.value.remedy == "allow writing there, or name another file"
+
+
+def test_a_full_disk_says_to_make_room(tmp_path):
+    with pytest.raises(RefusedError) as refused, writing(tmp_path / "x.csv", remedy="make the folder writable"):
+        raise OSError(errno.ENOSPC, "No space left on device")
+    assert refused.value.reason == f"{tmp_path / 'x.csv'} cannot be written: No space left on device"
+    assert refused.value.remedy == "make room on that disk, or name a place on another"

@@ -168,7 +168,11 @@ def sign_file(path: Path, key: Path, *, again: bool = False) -> CommandOutcome[S
     if replaced is not None:
         facts.append(("Replaced", f"the signature by key {replaced}"))
     return answer(
-        SignedFile(path, signed.digest, signer, signed_at, replaced), f"{path} is signed", f"by key {signer}", facts
+        SignedFile(path, signed.digest, signer, signed_at, replaced),
+        f"{path} is signed",
+        f"by key {signer}",
+        facts,
+        warnings=private.warnings,
     )
 
 

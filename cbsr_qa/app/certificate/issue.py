@@ -118,11 +118,12 @@ def issue_certificate(
     """
     request = request.validate()
     with open_store(database_url(database), create=False) as store:
-        files, signed_by = _issue(store, store.runs.resolve(serial), request)
+        files, key = _issue(store, store.runs.resolve(serial), request)
+    signed_by = "" if key is None else fingerprint(key.public_key)
     facts = [("Number", files.number), ("Signed by", f"key {signed_by}" if signed_by else "nobody")]
     printed = [("Page", str(files.html)), ("XML", str(files.dcc))]
     printed += [("Signature", str(request.folder / f"{files.number}{SIGNATURE}"))] if signed_by else []
-    warnings = [*_warn_of_customer(request), *([] if signed_by else [_NOT_SIGNED])]
+    warnings = [*_warn_of_customer(request), *([_NOT_SIGNED] if key is None else key.warnings)]
     return answer(files, f"certificate of {serial} issued", files.statement, facts, printed, warnings)
 
 
@@ -162,7 +163,8 @@ def issue_batch(
     issued = tuple(one for one in in_order if isinstance(one, CertificateFiles))
     refused = tuple(one for one in in_order if isinstance(one, RefusedCertificate))
     warnings = [": ".join(filter(None, (f"sensor {one.serial} got none", one.reason, one.remedy))) for one in refused]
-    warnings += _warn_of_customer(request) if issued else []
+    if issued:
+        warnings += [*_warn_of_customer(request), *(() if request.key is None else signing_key(request.key).warnings)]
     outcome = answer(
         BatchCertificates(batch, issued, refused),
         f"{plural(len(issued), 'certificate')} of batch {batch} issued",
@@ -201,8 +203,8 @@ def _open_in_worker(url: str) -> Repository:
     return open_store(url, create=False)
 
 
-def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[CertificateFiles, str]:
-    """Issue the certificate of a run; return it with the fingerprint of its key, empty if it is not signed."""
+def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[CertificateFiles, SigningKey | None]:
+    """Issue the certificate of a run; return it with its key, None if it is not signed."""
     now = RealClock().wall()
     composed = compose_certificate(store, run, request, now)
     certificate = composed.certificate
@@ -225,7 +227,7 @@ def _issue(store: Repository, run: str, request: CertificateRequest) -> tuple[Ce
         _list_forces(certificate),
         tuple(_list_standards(certificate)),
     )
-    return files, "" if key is None else fingerprint(key.public_key)
+    return files, key
 
 
 def _render(composed: Composed, key: SigningKey | None, now: datetime) -> IssuedCertificate:

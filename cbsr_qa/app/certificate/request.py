@@ -1,6 +1,7 @@
 """Requests for certificates, and the settings that a certificate follows."""
 
 import json
+import re
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Final
@@ -16,6 +17,15 @@ from cbsr_qa.domain.results.certificate import Customer
 
 #: Longest name or address of a customer [characters]: a line or two of the page.
 _LONGEST_CUSTOMER: Final = 120
+
+
+#: Codes of ISO 3166-1 (alpha-2) of countries and territories, as assigned by 2026, and those that users may assign.
+_COUNTRIES: Final = re.compile(
+    "A[ADEFGILMOQRSTUWXZ]|B[ABDEFGHIJLMNOQRSTVWYZ]|C[ACDFGHIKLMNORUVWXYZ]|D[EJKMOZ]|E[CEGHRST]|F[IJKMOR]"
+    "|G[ABDEFGHILMNPQRSTUWY]|H[KMNRTU]|I[DELMNOQRST]|J[EMOP]|K[EGHIMNPRWYZ]|L[ABCIKRSTUVY]"
+    "|M[ACDEFGHKLMNOPQRSTUVWXYZ]|N[ACEFGILOPRUZ]|OM|P[AEFGHKLMNRSTWY]|Q[AM-Z]|R[EOSUW]"
+    "|S[ABCDEGHIJKLMNORSTVXYZ]|T[CDFGHJKLMNORTVWZ]|U[AGMSYZ]|V[ACEGINU]|W[FS]|X[A-Z]|Y[ET]|Z[AMWZ]"
+)
 
 
 @dataclass(frozen=True, slots=True)
@@ -92,5 +102,10 @@ def choose_settings(request: CertificateRequest, configuration: str) -> tuple[Ce
         label = ", ".join(f"--{name.replace('_', '-')}" for name in request.overrides)
         changed = {"certificate": {**stated, **request.overrides}}
         settings = validate(CertificateFile, Document(DocumentKind.CERTIFICATE, label, None, "", changed))
+    if _COUNTRIES.fullmatch(settings.country) is None:  # not where files are read: stored runs have such stations
+        raise ConfigError(
+            f"certificate.country is {settings.country!r}, no code of ISO 3166-1",
+            remedy='correct it ("GB" is the United Kingdom), or give a file with that table: --laboratory FILE',
+        )
     named = station.get("calibrations", {}).get("signing_key")
     return settings, request.key or (None if named is None else Path(named))

@@ -158,7 +158,8 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
     with open_store(database_url(database), create=False) as store:
         certificates = store.certificates.list_all()
         withdrawn = _list_withdrawn(store, certificates)
-        warnings = [
+        warnings = [*own_key.warnings]
+        warnings += [
             f"certificate {one.issued.number} stands, and is not listed: {problem}; `cbsr-qa certificate revoke` it"
             for one in certificates
             if not one.withdrawals and (problem := find_verdict_problem(store, one.issued.run))

@@ -24,6 +24,11 @@ from cbsr_qa.system.json_text import parse_json
 _MOST_BYTES: Final = 2**26
 _CERTIFICATE: Final = "cbsr-qa certificate"
 _WITHDRAWN: Final = "cbsr-qa withdrawn certificates"
+#: What each format is, and which file has it.
+_MEANT: Final = {
+    _CERTIFICATE: ("the signature file of a certificate", "name NUMBER.signature.json, which is beside page and XML"),
+    _WITHDRAWN: ("a list of withdrawn certificates", "name the file that `cbsr-qa certificate withdrawn` wrote"),
+}
 _AGAIN: Final = "copy it again from where it was issued"
 
 _Kind = TypeVar("_Kind", "CertificateSeal", "WithdrawnList")
@@ -257,10 +262,13 @@ def _check_clock(name: str, signed_at: str, today: date) -> None:
 
 
 def _read(path: Path, kind: type[_Kind]) -> _Kind:
+    stated, remedy = kind.__dataclass_fields__["format"].default, _AGAIN
     try:
-        content = parse_json(read_foreign(path, _MOST_BYTES))
-        if not isinstance(content, Mapping) or content.get("format") != kind.__dataclass_fields__["format"].default:
-            raise ValueError("it is another file")
+        data = read_foreign(path, _MOST_BYTES)
+        content = parse_json(data) if data.lstrip().startswith(b"{") else None
+        if not isinstance(content, Mapping) or content.get("format") != stated:
+            what, remedy = _MEANT[stated]
+            raise ValueError(f"it is not {what}")
         filled = fill_from_mapping(kind, content)
         if odd := find_odd_value(kind, filled):
             raise ValueError(odd)
@@ -270,7 +278,7 @@ def _read(path: Path, kind: type[_Kind]) -> _Kind:
             datetime.fromisoformat(filled.signed_at)
     except (OSError, ValueError, TypeError, KeyError) as error:
         why = getattr(error, "strerror", None) or str(error)
-        raise CalibrationError(f"{path} cannot be read: {why}", remedy=_AGAIN) from error
+        raise CalibrationError(f"{path} cannot be read: {why}", remedy=remedy) from error
     return filled
 
 

@@ -4,7 +4,7 @@ The library ``cryptography`` (extra ``sign``) is loaded only if a key is made, o
 """
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
 from typing import Any, Final
@@ -37,11 +37,15 @@ def library(name: str) -> Any:
 
 
 class SigningKey:
-    """A private key in memory; ``public_key`` is the other half, in hexadecimal digits."""
+    """A private key in memory; ``public_key`` is the other half, in hexadecimal digits.
 
-    def __init__(self, key: Any) -> None:
+    ``warnings`` say that others may read its file.
+    """
+
+    def __init__(self, key: Any, warnings: Sequence[str] = ()) -> None:
         self._key = key
         self.public_key: str = key.public_key().public_bytes_raw().hex()
+        self.warnings = tuple(warnings)
 
     def sign(self, statement: bytes) -> str:
         """Return the signature of a statement, in hexadecimal digits."""
@@ -128,7 +132,8 @@ def signing_key(path: Path) -> SigningKey:
         raise _unreadable(path, "private") from error
     if not isinstance(key, ed25519.Ed25519PrivateKey):
         raise _another_type(path, key)
-    return SigningKey(key)
+    shared = os.name == "posix" and path.stat().st_mode & 0o077
+    return SigningKey(key, [f"others than its owner may read or change key {path}: chmod 600"] if shared else ())
 
 
 def _unlock(path: Path, data: bytes, secret: bytes, serial: Any) -> Any:

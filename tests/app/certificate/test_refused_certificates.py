@@ -83,6 +83,15 @@ def test_texts_that_cannot_be_printed_are_named(place, letter, capsys):
 
 
 @pytest.mark.rest
+def test_a_country_that_iso_does_not_know_is_named(place):
+    (place.folder / "laboratory.toml").write_text(laboratory_table(country="UK"))
+    refused = place.certify("S-1", "--to", "out", "--laboratory", "laboratory.toml", code=2)["refused"]
+    assert refused["reason"] == "certificate.country is 'UK', no code of ISO 3166-1"
+    assert '"GB" is the United Kingdom' in refused["remedy"]
+    place.check_nothing_issued()
+
+
+@pytest.mark.rest
 def test_a_folder_below_a_file_is_named(place, capsys):
     (place.folder / "file").write_text("")
     assert run_guarded(["certificate", "S-1", "--to", "file/out", *place.at]) == 2

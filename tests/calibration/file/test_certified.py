@@ -141,6 +141,16 @@ def test_other_files_are_refused_by_name(tmp_path, text):
         read_seal(tmp_path / "none.json")
 
 
+def test_page_and_xml_in_the_place_of_the_signature_file_are_named(tmp_path):
+    for name, text in (("SSW-1.html", "<!DOCTYPE html>"), ("SSW-1.xml", "<?xml version='1.0'?>")):
+        (tmp_path / name).write_text(text)
+        with pytest.raises(CalibrationError, match="it is not the signature file of a certificate") as refused:
+            read_seal(tmp_path / name)
+        assert "NUMBER.signature.json" in refused.value.remedy
+        with pytest.raises(CalibrationError, match="it is not a list of withdrawn certificates"):
+            read_withdrawn(tmp_path / name)
+
+
 @pytest.mark.parametrize(("day", "odd"), [("2027-11-21", "2027-13-21"), (AT.date().isoformat(), "2026-13-13")])
 def test_a_day_that_is_no_date_is_refused(seal, day, odd):
     assert day in seal.read_text()
@@ -175,3 +185,10 @@ def test_a_certificate_of_another_file_is_refused_by_the_runtime(tmp_path, seal)
     with pytest.raises(CalibrationError, match="is of another calibration"):
         qa.load_calibration(path, certificate=seal, today=IN_TIME)
     assert stamp(sparse_calibration()).digest != DIGEST
+
+
+def test_a_key_that_others_may_read_is_warned_of(key):
+    assert signing_key(key).warnings == ()
+    key.chmod(0o640)
+    (warning,) = signing_key(key).warnings
+    assert warning == f"others than its owner may read or change key {key}: chmod 600"
