@@ -262,7 +262,7 @@ def _check_clock(name: str, signed_at: str, today: date) -> None:
 
 
 def _read(path: Path, kind: type[_Kind]) -> _Kind:
-    stated, remedy = kind.__dataclass_fields__["format"].default, _AGAIN
+    stated, remedy = str(kind.__dataclass_fields__["format"].default), _AGAIN
     try:
         data = read_foreign(path, _MOST_BYTES)
         content = parse_json(data) if data.lstrip().startswith(b"{") else None
