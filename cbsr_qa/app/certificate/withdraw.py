@@ -44,9 +44,8 @@ class ListedCertificate:
     run_problem: str | None
 
     @classmethod
-    def from_stored(cls, store: Repository, stored: StoredCertificate) -> "ListedCertificate":
+    def from_stored(cls, stored: StoredCertificate, run_problem: str = "") -> "ListedCertificate":
         issued = stored.issued
-        problem = "" if stored.withdrawals else find_verdict_problem(store, issued.run)
         return cls(
             issued.number,
             stored.serial,
@@ -55,7 +54,7 @@ class ListedCertificate:
             issued.valid_until,
             issued.replaces,
             stored.withdrawn or None,
-            problem or None,
+            run_problem or None,
         )
 
 
@@ -77,7 +76,9 @@ class WrittenFiles:
 def list_certificates(serial: str | None, *, database: str | None = None) -> CommandOutcome[CertificateList]:
     """List the certificates of one sensor, or of all. StoreError without such a sensor, or if a run was altered."""
     with open_store(database_url(database), create=False) as store:
-        listed = tuple(ListedCertificate.from_stored(store, one) for one in store.certificates.list_all(serial))
+        certificates = store.certificates.list_all(serial)
+        problems = _find_problems(store, certificates)
+    listed = tuple(ListedCertificate.from_stored(one, problems.get(one.issued.number, "")) for one in certificates)
     rows = [
         (
             one.number,
@@ -111,9 +112,7 @@ def revoke_certificate(
         )
     operator, reason = validate_operator(by) or NOT_STATED, validate_reason(why)
     with open_store(database_url(database), create=False) as store:
-        revoked = ListedCertificate.from_stored(
-            store, store.certificates.revoke(number, operator=operator, why=reason)
-        )
+        revoked = ListedCertificate.from_stored(store.certificates.revoke(number, operator=operator, why=reason))
     return answer(revoked, f"certificate {number} revoked", reason, [("Sensor", revoked.serial)])
 
 
@@ -160,9 +159,8 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
         withdrawn = _list_withdrawn(store, certificates)
         warnings = [*own_key.warnings]
         warnings += [
-            f"certificate {one.issued.number} stands, and is not listed: {problem}; `cbsr-qa certificate revoke` it"
-            for one in certificates
-            if not one.withdrawals and (problem := find_verdict_problem(store, one.issued.run))
+            f"certificate {number} stands, and is not listed: {problem}; `cbsr-qa certificate revoke` it"
+            for number, problem in _find_problems(store, certificates).items()
         ]
     if lost := sorted(earlier - {one.number for one in withdrawn}):
         others = f", nor {len(lost) - 1} more of that list" if len(lost) > 1 else ""
@@ -176,6 +174,14 @@ def write_withdrawn(path: Path, key: Path, *, database: str | None = None) -> Co
     written = WrittenFiles((path,), len(withdrawn))
     headline = f"{plural(len(withdrawn), 'withdrawn certificate')} listed"
     return answer(written, headline, printed=[("File", str(path))], warnings=warnings)
+
+
+def _find_problems(store: Repository, certificates: Sequence[StoredCertificate]) -> dict[str, str]:
+    """Return why runs of certificates that stand could not be certified now, by number."""
+    continued = store.certificates.find_continued()
+    standing = {one.issued.number: one.issued.run for one in certificates if not one.withdrawals}
+    problems = {number: find_verdict_problem(store, run) for number, run in standing.items() if run in continued}
+    return {number: problem for number, problem in problems.items() if problem}
 
 
 def _list_withdrawn(store: Repository, certificates: Sequence[StoredCertificate]) -> tuple[Withdrawn, ...]:

@@ -7,6 +7,7 @@ from datetime import datetime
 from typing import Any, Final
 
 from sqlalchemy import Connection, Engine, exists, func, select, true
+from sqlalchemy.orm import aliased
 
 from cbsr_qa.domain.errors import StoreError
 from cbsr_qa.domain.results.certificate_records import CertificateWithdrawal, IssuedCertificate, StoredCertificate
@@ -147,6 +148,16 @@ class Certificates:
             for run in connection.scalars(select(RunRow.run).where(of_sensor, linked, ~listed)).all():
                 check_run(connection, run, _KINDS)
             return tuple(_load(connection, number) for number in connection.scalars(query).all())
+
+    def find_continued(self) -> set[str]:
+        """Return the certified runs of which more was recorded since: their verdict may be another."""
+        row, own, later = CertificateRow, LinkRow, aliased(LinkRow)
+        of_certificate = (own.run == row.run) & (own.kind == row.__tablename__) & (own.document == row.certificate)
+        followed = (later.run == own.run) & (later.number > own.number) & later.kind.not_in(_KEPT)
+        query = select(row.run).join(own, of_certificate).join(later, followed).where(match_few_links())
+        never_chained = select(row.run).join(RunRow, RunRow.run == row.run).where(RunRow.chain.is_(None))
+        with reading(self._engine) as connection:
+            return {*connection.scalars(query), *connection.scalars(never_chained)}
 
     def is_numbered_here(self, number: str) -> bool:
         """Whether a number names a run that was begun in this database, which then has every certificate of it."""
