@@ -22,6 +22,7 @@ from cbsr_qa.store.opening import open_store
 from cbsr_qa.store.repository import Repository
 from cbsr_qa.system.clock import RealClock
 from cbsr_qa.system.files import write_atomically, writing
+from cbsr_qa.system.foreign import read_foreign
 
 
 @dataclass(frozen=True, slots=True)
@@ -127,7 +128,12 @@ def copy_certificate(number: str, folder: Path, *, database: str | None = None) 
     for ending, data in list_contents(stored.issued).items():
         if not (path := folder / f"{number}{ending}").exists():
             missing[ending] = data
-        elif not path.is_file() or path.read_bytes() != data:
+            continue
+        try:
+            is_same = read_foreign(path, len(data)) == data
+        except OSError:  # larger, no regular file, or not to be read
+            is_same = False
+        if not is_same:
             raise RefusedError(f"{path} exists already, and is another file", remedy="name another folder")
     with write_files(folder, number, missing) as paths:
         written = WrittenFiles(tuple(paths.values()), 1)
