@@ -91,11 +91,15 @@ def _describe_force(calibration: Calibration) -> Iterator[str]:
             for force_N in forces_N
         )
         reads = " to ".join(f"{force_N:.3g}" for force_N in forces_N)
+        unstated = (
+            " They take the intercept of the material's characteristic as exact: it is stated without uncertainty."
+        )
+        exact = "" if calibration.against_stress.intercept.stderr else unstated
         worst_N = _NORMAL_95 * ability.stderr_N(high_N).max()
         yield (
             f"Reads {reads} N of {where}: {errors} (95 %, root mean square over these places; at most"
             f" ± {worst_N:.2g} N), for one settled load at a known place. These errors"
-            f" include {describe_force_error(calibration.standards)}."
+            f" include {describe_force_error(calibration.standards)}.{exact}"
         )
         if find_standard(calibration.standards, StandardRole.LOAD_CELL) is not None:
             yield from _describe_expanded(calibration)

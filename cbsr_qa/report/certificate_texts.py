@@ -243,7 +243,7 @@ def describe_checked(certificate: Certificate) -> str:
 
 
 def _compare_with_random_numbers(certificate: Certificate) -> Iterator[str]:
-    """Yield how much wider than k u intervals by random numbers are, and why the law of propagation may not do."""
+    """Yield how far intervals by random numbers exceed k u, and why the law of propagation may not do."""
     checked = (load.expanded for load in certificate.checked)
     forces = chain(certificate.forces, certificate.forces_in_use, checked)
     compared: list[tuple[float, MonteCarlo]] = [
@@ -254,9 +254,9 @@ def _compare_with_random_numbers(certificate: Certificate) -> Iterator[str]:
         reasons = "; where ".join(f"{why} ({plural(count, 'value')} of U)" for why, count in counts.items())
         widest = max(simulated.half_width / expanded_N for expanded_N, simulated in compared)
         outcome = (
-            f"where half their interval of 95 % is wider than k u, it is U (at most {widest:.2f} times as wide)"
+            f"where half of their 95 % interval exceeds k u, it is U (at most {widest:.2f} k u)"
             if widest > 1
-            else "no interval of 95 % is wider than U"
+            else "nowhere does half of their 95 % interval exceed k u"
         )
         yield f"The law of propagation was compared with random numbers (JCGM 101:2008) where {reasons}: {outcome}."
 

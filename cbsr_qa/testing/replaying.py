@@ -36,7 +36,8 @@ def replay_transcript(path: Path | str, clock: Clock) -> Iterator[Transcript]:
 def replay_pairs(role: str, pairs: Iterable[Pair], clock: Clock, *, end: bytes = b"\n") -> Iterator[None]:
     """Have the role's serial port or VISA resource answer as pairs (sent, received) of PyMeasure's tests state.
 
-    AssertionError at the end if something else was sent, or less. RefusedError if a pair is none.
+    AssertionError at the end if the driver sent something else, or less. RefusedError names a
+    pair that cannot be used.
 
     Parameters
     ----------

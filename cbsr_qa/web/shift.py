@@ -232,7 +232,7 @@ def _describe_standing(store: Repository, run: ListedRun) -> str:
 
 
 def search_page(database: str | None, wanted: str) -> dict[str, Any]:
-    """Return the content of the page of a search: sensors, or why a text can be no name."""
+    """Return the content of the page of a search: sensors, or why a text cannot be a name."""
     from cbsr_qa.app.shift.sensors import OPERATOR_RUNS, search_sensors
 
     view: dict[str, Any] = {"wanted": wanted, "found": None, "refused": "", "operator_runs": OPERATOR_RUNS}

@@ -93,7 +93,7 @@ class StationWatch:
         return self.started is not None and self.look is not None and self.look.worked_at > self.started.at
 
     @property
-    def _cancelled(self) -> bool:
+    def _was_cancelled(self) -> bool:
         """Whether somebody cancelled the start of the run that was started last."""
         started = self.started
         return started is not None and not self._begun and bool(started.cancelled_by) and started.ended is not None
@@ -145,7 +145,7 @@ class StationWatch:
             live=live,
             starting=started.what if started is not None else "",
             refused=self._describe_refusal(),
-            cancelled=self._cancelled,
+            cancelled=self._was_cancelled,
             trouble=trouble,
             health=self._health,
             healthy=self._healthy,
@@ -217,7 +217,7 @@ class StationWatch:
         started = self.started
         if started is None or self._begun:
             return ""
-        if self._cancelled:
+        if self._was_cancelled:
             return text("station.cancelled", by=started.cancelled_by)
         words = started.describe_refusal()
         if not words or started.process is not None:

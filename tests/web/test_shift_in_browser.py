@@ -98,7 +98,7 @@ def test_the_shift_is_handed_over_in_a_sentence_with_what_to_do(shift):
         ("S-0502", "S-0502: 1 sensor"),
         ("lot8", "Did you mean LOT7"),
         ("", "Search for a serial number"),
-        (f"{HOSTILE}\x00", "can be no name that is stored"),
+        (f"{HOSTILE}\x00", "cannot be a stored name"),
     ],
 )
 def test_a_search_says_what_it_found(shift, wanted, says):

@@ -189,7 +189,7 @@ def _read_wanted(wanted: str) -> tuple[str, SensorPart]:
     try:
         (part,) = read_parts([f"any={wanted}"])
     except ConfigError:
-        raise ConfigError(f"{echo(wanted, 64)} can be no name that is stored", remedy=_REMEDY) from None
+        raise ConfigError(f"{echo(wanted, 64)} cannot be a stored name", remedy=_REMEDY) from None
     serial = ""
     with suppress(ConfigError):  # the identifier of a part may hold more
         serial = validate_serial(wanted)

@@ -314,7 +314,7 @@ class _Look:
                 self._add(CheckResult(name, CheckOutcome.FAILED, said=said, remedy=remedy, subject=WHOLE_BENCH))
         silent_roles = [spec.role for spec in self._missing if _rank_movement(spec)]
         if silent_roles:
-            said = f"not known of {list_names(silent_roles)}: no answer"
+            said = f"not known for {list_names(silent_roles)}: no answer"
             remedy = "" if self._tap.replays else "look at the bench: the source must be off, and the head up"
             self._add(CheckResult("safe state", CheckOutcome.WARNING, said=said, remedy=remedy, subject=WHOLE_BENCH))
         elif self._mounted and not unsafe:
@@ -337,7 +337,7 @@ def _describe_safe(mounted: Sequence[Mounted]) -> str:
     for said, role in (("source off", SOURCE_METER), ("head up", FORCE_APPLICATOR)):
         names = [one.spec.role for one in mounted if role in one.spec.provides]
         reports += [f"{said} ({list_names(names)})"] if names else []
-    return f"{', '.join(reports)}: so they say" if reports else "every instrument says that it is safe"
+    return f"reported: {', '.join(reports)}" if reports else "every instrument says that it is safe"
 
 
 def _error_result(subject: str, name: str, error: Exception) -> CheckResult:

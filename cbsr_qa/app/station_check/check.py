@@ -119,7 +119,11 @@ def replay_check(request: CheckRequest, path: Path, console: RunConsole = NOBODY
     configuration = load_configuration(request, plugins)
     ring = choose_ring(request, configuration.station.reference_ring)
     clock = VirtualClock()
-    replay = Replay(transcript, configuration.station, clock, break_in=_end_check)
+
+    def break_off(why: str) -> None:
+        raise RecordingEnded(why)
+
+    replay = Replay(transcript, configuration.station, clock, break_in=break_off)
     with stoppable():
         findings = look_at_bench(
             configuration,
@@ -169,10 +173,6 @@ def _recording(
         if recorder.ended_early and recorder.has_links:
             kept = f"{recorder.path}: kept up to the stop"
             on_stderr(f"transcript {_describe_loss(recorder) if recorder.failure else kept}")
-
-
-def _end_check(why: str) -> None:
-    raise RecordingEnded(why)
 
 
 def _warn_of_transcript(said: str, remedy: str) -> CheckResult:

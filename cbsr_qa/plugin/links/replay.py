@@ -94,11 +94,6 @@ class Replay:
             self._break_in(self.ended)
 
 
-def _find_last_sent(transcript: Transcript) -> list[Event]:
-    """Return the last event of something sent, in a list; an empty one without."""
-    return [event for event in transcript.events if event.sign == ">"][-1:]
-
-
 def _name_remedy(transcript: Transcript) -> str:
     """Return what to do where a replay differs: a test's pairs have no station file."""
     return _SAME_CHECK if transcript.counted == "line" else ""
@@ -130,8 +125,9 @@ class ReplayedLink:
         #: What was sent now and not then, in words; empty if nothing.
         self.differs = ""
         self._events = deque(event for event in transcript.events if event.role == role)
+        asked_roles = [event.role for event in transcript.events if event.sign == ">"]
         #: Whether the instrument was the last one to be sent something: what it did not answer, it may have later.
-        self._is_last = any(event.role == role for event in _find_last_sent(transcript))
+        self._is_last = asked_roles[-1:] == [role]
         self._received = bytearray()
         self._lock = threading.RLock()
         self._real = RealClock()

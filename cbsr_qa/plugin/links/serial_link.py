@@ -92,13 +92,13 @@ class SerialLink:
                 if end >= 0:
                     return self._take(end + 1).rstrip(b"\r\n")
                 if len(self._held) > _MAX_LINE_BYTES:
-                    came = describe_unended(self._take(len(self._held)))
+                    came = describe_partial_line(self._take(len(self._held)))
                     raise self.error(f"sent {came}", remedy=_BAUD)
-        came, remedy = (describe_unended(self.unended), _BAUD) if self._held else ("nothing", _SILENT)
+        came, remedy = (describe_partial_line(self.partial_line), _BAUD) if self._held else ("nothing", _SILENT)
         raise self.error(f"answered {came} within {allowed_s:.3g} s", remedy=remedy, retryable=True)
 
     @property
-    def unended(self) -> bytes:
+    def partial_line(self) -> bytes:
         """What came and belongs to no whole line or answer yet; it stays there."""
         with self._reading:
             return bytes(self._held)
@@ -172,21 +172,21 @@ class SerialLink:
         if not self.address.lower().startswith(_USB):
             return self.address
         vid, pid, number = _usb_identity(self.role, self.address)
-        found = [
+        matching_ports = [
             port
             for port in list_ports.comports()
             if (port.vid, port.pid) == (vid, pid) and number in (None, port.serial_number)
         ]
-        if len(found) == 1:
-            return str(found[0].device)
-        if not found:
+        if len(matching_ports) == 1:
+            return str(matching_ports[0].device)
+        if not matching_ports:
             raise self.error("no such device is plugged in", remedy=_ports())
-        serials = {port.serial_number for port in found} - {None, ""}
+        serials = {port.serial_number for port in matching_ports} - {None, ""}
         remedy = "say which by its serial number: usb:VID:PID:SERIAL"
-        if len(serials) < len(found):
+        if len(serials) < len(matching_ports):
             remedy = "their serial numbers do not tell them apart: give the port's path, /dev/serial/by-path/…"
-        devices = ", ".join(sorted(port.device for port in found))
-        raise self.error(f"{len(found)} such devices are plugged in ({devices})", remedy=remedy)
+        devices = ", ".join(sorted(port.device for port in matching_ports))
+        raise self.error(f"{len(matching_ports)} such devices are plugged in ({devices})", remedy=remedy)
 
     def _opening_error(self, path: str, error: Exception) -> InstrumentError:
         number = getattr(error, "errno", None)
@@ -225,7 +225,7 @@ _BAUD: Final = "check the address, the baud rate, and which line end it sends"
 _CABLE: Final = "check the cable and the power of the instrument"
 
 
-def describe_unended(data: bytes) -> str:
+def describe_partial_line(data: bytes) -> str:
     r"""Count the bytes of a line that does not end, and quote the last; lines that end in ``\r`` alone are named."""
     is_text = all(32 <= byte < 127 or byte in b"\r\t" for byte in data)
     kind = "whose lines end in \\r, not in \\n" if is_text and b"\r" in data else "without a line end"

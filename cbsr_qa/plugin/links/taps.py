@@ -105,16 +105,14 @@ def _find_secrets(name: str, value: Any, *, is_secret: bool) -> Iterator[tuple[s
     """Yield name and text of each secret in an option, which may be a table or a list."""
     if isinstance(value, Mapping):
         for key, inner in value.items():
-            yield from _find_secrets(f"{name}.{key}", inner, is_secret=is_secret or _names_secret(key.lower()))
+            small = key.lower()
+            is_named = small in _SECRET_NAMES or small.endswith(("key", "keys")) or any(map(small.count, _SECRET))
+            yield from _find_secrets(f"{name}.{key}", inner, is_secret=is_secret or is_named)
     elif isinstance(value, list | tuple):
         for inner in value:
             yield from _find_secrets(name, inner, is_secret=is_secret)
     elif is_secret and value and not isinstance(value, bool):
         yield name, str(value)
-
-
-def _names_secret(key: str) -> bool:
-    return key in _SECRET_NAMES or key.endswith(("key", "keys")) or any(word in key for word in _SECRET)
 
 
 def _encode(secret: bytes) -> Iterator[bytes]:

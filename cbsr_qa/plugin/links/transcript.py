@@ -226,7 +226,7 @@ def quote(data: bytes) -> str:
 
 
 def _convert_message(message: object) -> bytes:
-    """Return the bytes of a message. TypeError or ValueError if it is none."""
+    """Convert a message to bytes. TypeError or ValueError if it is of another kind."""
     if isinstance(message, bool):
         raise TypeError("a truth value is no message")
     if isinstance(message, str | int | float):

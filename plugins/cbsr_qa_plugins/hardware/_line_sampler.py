@@ -14,7 +14,7 @@ import numpy as np
 
 from cbsr_qa.domain.numbers import Array
 from cbsr_qa.plugin import InstrumentError, SerialLink
-from cbsr_qa.plugin.links.serial_link import describe_unended
+from cbsr_qa.plugin.links.serial_link import describe_partial_line
 from cbsr_qa.system.clock import TICK_S, Clock, RealClock
 
 #: Samples are fetched every few seconds; an hour covers any pause between two steps [s].
@@ -192,13 +192,14 @@ class LineSampler:
         until_s = self._clock.now() + allowed_s
         while not len(self.samples_since(-np.inf)[0]):
             if self._clock.now() >= until_s:
-                found, remedy = "nothing", f"check that it is switched on, its address, {_SETTINGS}"
+                received, remedy = "nothing", f"check that it is switched on, its address, {_SETTINGS}"
                 if self._example:
-                    found = repr(self._example)
-                elif unended := self._partial + self._link.unended:
-                    found, remedy = describe_unended(unended), f"check its address, its line end, {_SETTINGS}"
+                    received = repr(self._example)
+                elif partial_line := self._partial + self._link.partial_line:
+                    received = describe_partial_line(partial_line)
+                    remedy = f"check its address, its line end, {_SETTINGS}"
                 raise self._link.error(
-                    f"{found} was found within {allowed_s:g} s; {self._line_format()} was expected", remedy
+                    f"{received} was found within {allowed_s:g} s; {self._line_format()} was expected", remedy
                 )
             self._clock.sleep(self._period_s)
 
@@ -206,10 +207,10 @@ class LineSampler:
         """Raise InstrumentError if it has fallen silent."""
         times, _ = self.samples_since(self._clock.now() - self._silent_s())
         if not len(times) and self._clock.now() - self._began_s > self._silent_s():
-            unended = self._partial + self._link.unended
+            partial_line = self._partial + self._link.partial_line
             raise self._link.error(
                 f"it has sent nothing that can be read for {self._silent_s():.3g} s"
-                + (f", but {describe_unended(unended)}" if unended else ""),
+                + (f", but {describe_partial_line(partial_line)}" if partial_line else ""),
                 "check its power, its cable and its baud rate",
             )
 

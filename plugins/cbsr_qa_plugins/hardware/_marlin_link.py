@@ -13,7 +13,7 @@ from operator import xor
 from typing import Final
 
 from cbsr_qa.plugin import InstrumentError, SerialLink
-from cbsr_qa.plugin.links.serial_link import describe_unended
+from cbsr_qa.plugin.links.serial_link import describe_partial_line
 from cbsr_qa.system.clock import RealClock
 
 #: Lines are counted from here on after a start: a printer that asks for number 1 has restarted.
@@ -130,8 +130,8 @@ class MarlinLink:
         until_s = self._time.now() + self._boot_s
         while not self._answers_token(_BOOT_QUERY_S):
             if self._time.now() > until_s:
-                unended = self._link.unended
-                said = f", and what came is {describe_unended(unended)}" if unended else ""
+                partial_line = self._link.partial_line
+                said = f", and what came is {describe_partial_line(partial_line)}" if partial_line else ""
                 raise self._link.error(
                     f"no Marlin printer answers within {self._boot_s:g} s{said}",
                     remedy="check its address, its baud rate, its cable and its power",

@@ -82,7 +82,7 @@ def test_every_instrument_is_asked_and_all_are_made_safe_before_they_are_closed(
     samples = bench.lines["load_cell", "samples of force"]
     assert (samples.outcome, samples.value) == (OK, 10.0)
     safe = bench.lines["whole bench", "safe state"]
-    assert (safe.outcome, safe.said) == (OK, "head up (force_applicator): so they say")
+    assert (safe.outcome, safe.said) == (OK, "reported: head up (force_applicator)")
     assert bench.lines["reference ring", "readings"].remedy.startswith("give --ring-ohm, or [reference_ring]")
 
 
@@ -128,7 +128,7 @@ def test_of_a_head_or_source_that_does_not_answer_it_is_not_known_whether_it_is_
             bench.script.on(f"{role}.identity", raising(SILENT))
     bench.look()
     line = bench.lines["whole bench", "safe state"]
-    assert (line.outcome, line.said) == (WARNING, "not known of frame_source, force_applicator: no answer")
+    assert (line.outcome, line.said) == (WARNING, "not known for frame_source, force_applicator: no answer")
     assert line.remedy.startswith("look at the bench")
 
 
@@ -149,7 +149,7 @@ def test_a_meter_and_a_head_are_named_with_what_they_say(bench):
     bench.configuration = replace(bench.configuration, station=station)
     bench.look()
     said = bench.lines["whole bench", "safe state"].said
-    assert said == "source off (frame_source), head up (force_applicator): so they say"
+    assert said == "reported: source off (frame_source), head up (force_applicator)"
 
 
 def test_what_cannot_be_tried_at_all_is_kept_apart(bench):

@@ -77,7 +77,7 @@ def test_bytes_without_a_line_end_are_quoted(terminal, link, came, said):
         link.read_line(timeout_s=0.3)
     assert f"answered {said} within 0.3 s" in caught.value.reason
     assert "baud rate" in caught.value.remedy
-    assert link.unended == came
+    assert link.partial_line == came
 
 
 def test_what_has_come_is_thrown_away(terminal, link):
