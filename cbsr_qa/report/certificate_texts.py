@@ -254,7 +254,7 @@ def _compare_with_random_numbers(certificate: Certificate) -> Iterator[str]:
         reasons = "; where ".join(f"{why} ({plural(count, 'value')} of U)" for why, count in counts.items())
         widest = max(simulated.half_width / expanded_N for expanded_N, simulated in compared)
         outcome = (
-            f"where half of their 95 % interval exceeds k u, it is U (at most {widest:.2f} k u)"
+            f"where half of their 95 % interval exceeds k u, it is U (at most {widest:.2f} k u), and k is U/u"
             if widest > 1
             else "nowhere does half of their 95 % interval exceed k u"
         )

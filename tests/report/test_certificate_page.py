@@ -159,7 +159,7 @@ def test_an_interval_by_random_numbers_says_why_it_was_made():
     made = certificate(forces=(wide, wide), forces_in_use=(bent, bent))
     (remark,) = [one for one in list_remarks(made) if "JCGM 101" in one]
     assert "where x is rectangular (2 values of U); where it bends (2 values of U): " in remark
-    assert remark.endswith("where half of their 95 % interval exceeds k u, it is U (at most 2.90 k u).")
+    assert remark.endswith("where half of their 95 % interval exceeds k u, it is U (at most 2.90 k u), and k is U/u.")
     (narrow,) = [one for one in list_remarks(certificate(forces=(bent, bent))) if "JCGM 101" in one]
     assert narrow.endswith("nowhere does half of their 95 % interval exceed k u.")
 
